@@ -22,12 +22,13 @@ from dune_rl.reporting.figures.failures import (
     collect_failures,
     draw_failures,
 )
-from dune_rl.reporting.figures.results import MethodRun, Results, axis_label, failures_of
+from dune_rl.reporting.figures.results import Results, axis_label, failures_of
 from dune_rl.reporting.figures.success import draw_success_by
 from dune_rl.reporting.figures.track_data import collect_tracks
 from dune_rl.reporting.figures.tracks import draw_tracks
 from dune_rl.reporting.figures.training import by_world, draw_training_curves
 from dune_rl.reporting.layout import Findings
+from dune_rl.reporting.origins import policy_origins
 from dune_rl.reporting.page.render import FigureBlock, shown_path
 from dune_rl.reporting.progress import ReportProgress
 
@@ -163,23 +164,22 @@ def _tracks(findings: Findings) -> Iterator[FigurePlan]:
     for one in findings.comparisons:
         if not any(run.steps for method in one.methods for run in method.runs):
             continue
-        methods = method_runs(one)
         yield FigurePlan(
             "tracks",
             f"tracks_{findings.name(one)}",
             f"Tracks on {one.cases.title}",
             "Of the first sites the first episodes, coloured by forward speed, on the shaded ground.",
             [file.with_name("steps.csv") for file in one.files],
-            partial(_draw_tracks, methods),
+            partial(_draw_tracks, one.methods),
         )
 
 
-def _draw_tracks(methods: Sequence[MethodRun]) -> Figure:
+def _draw_tracks(methods: Sequence[EvaluatedPolicy]) -> Figure:
     return draw_tracks(collect_tracks(methods))
 
 
 def _failures(findings: Findings, most: int, progress: ReportProgress) -> Iterator[FigurePlan]:
-    everything = [each for one in findings.comparisons for each in method_runs(one)]
+    everything = [each for one in findings.comparisons for each in one.methods]
     # Nothing tells how the others were run.
     methods = [each for each in everything if each.run.provenance or each.run.steps]
     failed = [each for each in everything if each not in methods and any(map(failures_of, each.rows))]
@@ -216,20 +216,6 @@ def _failures(findings: Findings, most: int, progress: ReportProgress) -> Iterat
         draw,
         DRAWN + _REPLAYED * replays,
     )
-
-
-def method_runs(comparison: Comparison) -> list[MethodRun]:
-    """The methods of a comparison, each with its evaluation; one with steps, if there is one."""
-    return [
-        MethodRun(
-            comparison.cases.title,
-            method.name,
-            method.policy,
-            next((run for run in method.runs if run.steps), method.runs[0]),
-            method.rows,
-        )
-        for method in comparison.methods
-    ]
 
 
 def shared_results(comparisons: Sequence[Comparison]) -> Results:
@@ -271,10 +257,8 @@ def _places(method: EvaluatedPolicy) -> Iterator[Path]:
     """Where the weights of a method may lie: beside its episodes, or where its provenance says."""
     for run in method.runs:
         yield run.path.resolve()
-        policies = run.provenance.get("policies")
-        for each in policies if isinstance(policies, list) else []:
-            if isinstance(each, dict) and each.get("name") == method.policy:
-                yield Path(str(each.get("location", ""))).resolve()
+        for each in policy_origins(run.provenance, method.policy):
+            yield Path(str(each.get("location", ""))).resolve()
 
 
 def _files(comparisons: Sequence[Comparison]) -> list[Path]:

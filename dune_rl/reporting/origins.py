@@ -11,6 +11,9 @@ from dune_rl.evaluation.episode_sets.files import read_episode_set, set_names
 from dune_rl.evaluation.folder import PROVENANCE
 from dune_rl.reporting.runs import Note
 
+# What the parts of a provenance are, where they are there.
+_KINDS = {"files": dict, "packages": dict, "git": dict, "hardware": dict, "policies": list, "command": list}
+
 
 def read_origin(path: Path) -> dict[str, Any]:
     """The provenance of an evaluation, empty for a study without; raises ConfigError if it is damaged."""
@@ -21,8 +24,10 @@ def read_origin(path: Path) -> dict[str, Any]:
         content = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         content = None
-    if isinstance(content, dict) and isinstance(content.get("files", {}), dict):
-        return content
+    if isinstance(content, dict):
+        known = {str(key): value for key, value in content.items() if value is not None}
+        if all(isinstance(known.get(key, kind()), kind) for key, kind in _KINDS.items()):
+            return known
     raise ConfigError(
         f"{PROVENANCE} is damaged, so that nothing tells whether it is complete; evaluate again"
     )
@@ -30,10 +35,13 @@ def read_origin(path: Path) -> dict[str, Any]:
 
 def total_episodes(provenance: Mapping[str, Any]) -> str:
     """How many episodes an evaluation was to have, in words; nothing of runs, whose number is not known."""
-    episodes, policies = provenance.get("episodes"), provenance.get("policies")
-    if not isinstance(episodes, int):
-        return ""
-    return f" of {episodes * max(1, len(policies) if isinstance(policies, list) else 1)}"
+    episodes = provenance.get("episodes")
+    return "" if episodes is None else f" of {episodes * max(1, len(provenance.get('policies', ())))}"
+
+
+def policy_origins(provenance: Mapping[str, Any], policy: str) -> list[dict[str, Any]]:
+    """What the provenance says of the policy of this name, such as the place of its weights."""
+    return [each for each in provenance.get("policies", ()) if each.get("name") == policy]
 
 
 def notes_on_origin(path: Path, provenance: Mapping[str, Any]) -> list[Note]:
@@ -60,8 +68,7 @@ def notes_on_origin(path: Path, provenance: Mapping[str, Any]) -> list[Note]:
                     f"{str(used.get('sha256'))[:12]} and {installed[:12]}): kept apart",
                 )
             )
-    packages = provenance.get("packages")
-    made_with = packages.get("dune_rl") if isinstance(packages, dict) else None
+    made_with = provenance.get("packages", {}).get("dune_rl")
     if made_with is not None and made_with != installed_version():
         notes.append(
             Note(path, f"was made with dune_rl {made_with}; this report is of {installed_version()}")

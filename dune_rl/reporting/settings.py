@@ -2,10 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, cast
 
-from omegaconf import OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 from pydantic import Field
 
 from dune_rl.config.checks import validate
@@ -30,11 +27,7 @@ def parse_words(words: Sequence[str]) -> tuple[list[Path], ReportConf]:
     """
     folders = [word for word in words if "=" not in word or Path(word).exists()]
     settings = [word for word in words if word not in folders]
-    values: dict[str, Any] = {}
-    for word in settings:
-        key, _, text = word.partition("=")
-        # Paths and titles are taken as they are, not parsed.
-        values[key] = _parse(word, key) if key in ("overwrite", "failures") else text
+    values = {key: text for key, _, text in (word.partition("=") for word in settings)}
     conf = validate(ReportConf, values)
     if conf.into is None and not folders:
         raise ConfigError("name the folders of runs or evaluations: python -m dune_rl.report runs/NAME")
@@ -44,11 +37,3 @@ def parse_words(words: Sequence[str]) -> tuple[list[Path], ReportConf]:
             f"into={conf.into} writes the tables that the file itself asks for; leave {others[0]} out"
         )
     return [Path(word) for word in folders], conf
-
-
-def _parse(word: str, key: str) -> object:
-    try:
-        found = cast("dict[str, Any]", OmegaConf.to_object(OmegaConf.from_dotlist([word])))
-    except (OmegaConfBaseException, ValueError) as error:
-        raise ConfigError(f"{word}: {error}") from error
-    return found.get(key)

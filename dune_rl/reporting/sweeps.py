@@ -69,24 +69,20 @@ def _is_job(job: Path) -> bool:
 
 def _goal(folders: list[Path], path: Path) -> tuple[str, bool]:
     """The metric that the sweep optimises, and whether more of it is better."""
-    metric, direction = "success", None
-    for job in folders:
-        config, hydra = _read_yaml(job / _CONFIG), _read_yaml(job / _HYDRA)
-        if isinstance(config, dict):
-            metric = str(config.get("objective", metric))
-        if isinstance(hydra, dict):
-            direction = _direction(hydra.get("hydra"))
-        break
-    multirun = _read_yaml(path / MULTIRUN)
-    if direction is None and isinstance(multirun, dict):
-        direction = _direction(multirun.get("hydra"))
+    metric = "success"
+    if folders and isinstance(config := _read_yaml(folders[0] / _CONFIG), dict):
+        metric = str(config.get("objective", metric))
+    files = [job / _HYDRA for job in folders[:1]] + [path / MULTIRUN]
+    direction = next(filter(None, map(_direction, files)), None)
     if direction is not None:
         return metric, not direction.lower().endswith("minimize")
     better = next((one.better for one in CATALOGUE if one.metric == metric), None)
     return metric, better != "lower"
 
 
-def _direction(hydra: Any) -> str | None:
+def _direction(file: Path) -> str | None:
+    content = _read_yaml(file)
+    hydra = content.get("hydra") if isinstance(content, dict) else None
     sweeper = hydra.get("sweeper") if isinstance(hydra, dict) else None
     direction = sweeper.get("direction") if isinstance(sweeper, dict) else None
     return direction if isinstance(direction, str) else None

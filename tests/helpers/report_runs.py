@@ -10,8 +10,7 @@ import yaml
 
 from dune_rl.core.seeding import stream
 from dune_rl.reporting.comparisons.collect import collect_comparisons
-from dune_rl.reporting.drawing import method_runs
-from dune_rl.reporting.figures.results import MethodRun
+from dune_rl.reporting.comparisons.comparison import EvaluatedPolicy
 from dune_rl.reporting.origins import installed_version
 from dune_rl.reporting.runs import EvaluationRun
 
@@ -132,6 +131,6 @@ def write_sweep(folder: Path, rates: Sequence[str], *, direction: str | None = N
     return folder
 
 
-def methods_of(*evaluations: EvaluationRun) -> list[MethodRun]:
+def methods_of(*evaluations: EvaluationRun) -> list[EvaluatedPolicy]:
     """The methods of evaluations, as figures get them."""
-    return [method for one in collect_comparisons(evaluations) for method in method_runs(one)]
+    return [method for one in collect_comparisons(evaluations) for method in one.methods]

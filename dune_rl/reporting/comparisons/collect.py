@@ -13,7 +13,7 @@ from dune_rl.config.saved import robot_names, split_groups
 from dune_rl.evaluation.episode_sets import read_episode_set
 from dune_rl.reporting.comparisons.comparison import Cases, Comparison, EvaluatedPolicy
 from dune_rl.reporting.csv_rows import is_number
-from dune_rl.reporting.origins import installed_checksum
+from dune_rl.reporting.origins import installed_checksum, policy_origins
 from dune_rl.reporting.runs import EvaluationRun, Row, differing_settings
 
 # What decides how an episode runs, apart from the policy: it must be equal for results to pair.
@@ -99,7 +99,7 @@ def _add_method(comparison: Comparison, policy: str, rows: list[Row], run: Evalu
             known.runs.append(run)
             return
     ordered = sorted(rows, key=lambda row: (row["episode"], str(row["agent"])))
-    comparison.methods.append(EvaluatedPolicy(policy, policy, ordered, [run]))
+    comparison.methods.append(EvaluatedPolicy(policy, policy, ordered, [run], comparison.cases.title))
 
 
 def _same_rows(first: Sequence[Row], second: Sequence[Row]) -> bool:
@@ -135,6 +135,8 @@ def _tell_apart(comparisons: Sequence[Comparison]) -> None:
         )
         for number, one in enumerate(same, 1):
             one.cases = replace(one.cases, title=f"{title} (cases {number})")
+            for method in one.methods:
+                method.cases = one.cases.title
             one.numbered = note
             one.notes.append(note)
 
@@ -195,12 +197,8 @@ def _episodes_of_set(cases: Cases) -> int:
 
 def _sites_of_training(method: EvaluatedPolicy) -> int:
     """On how many of the set's sites the policy was trained, as its evaluation notes."""
-    for run in method.runs:
-        policies = run.provenance.get("policies")
-        for each in policies if isinstance(policies, list) else []:
-            if isinstance(each, dict) and each.get("name") == method.policy:
-                return len(each.get("sites_of_training") or ())
-    return 0
+    origins = [each for run in method.runs for each in policy_origins(run.provenance, method.policy)]
+    return len(origins[0].get("sites_of_training") or ()) if origins else 0
 
 
 def _is_at_home(cases: Cases, method: EvaluatedPolicy) -> bool:

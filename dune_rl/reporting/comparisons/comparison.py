@@ -35,12 +35,18 @@ class Cases:
 
 @dataclass
 class EvaluatedPolicy:
-    """A policy on some cases: its episodes, and the evaluations that they come from."""
+    """A policy on the cases of the title `cases`: its episodes, and the evaluations that they come from."""
 
     name: str
     policy: str
     rows: list[Row]
     runs: list[EvaluationRun] = field(default_factory=list)
+    cases: str = ""
+
+    @property
+    def run(self) -> EvaluationRun:
+        """The first evaluation with recorded steps; the first one if none has steps."""
+        return next((run for run in self.runs if run.steps), self.runs[0])
 
     @property
     def episodes(self) -> int:

@@ -16,7 +16,8 @@ from dune_rl.evaluation.folder import read_provenance, read_settings
 from dune_rl.evaluation.policies import PolicySource
 from dune_rl.evaluation.provenance import check_same_sources
 from dune_rl.evaluation.running import BlockRunner, EvaluationPlan
-from dune_rl.reporting.figures.results import MethodRun, failures_of
+from dune_rl.reporting.comparisons.comparison import EvaluatedPolicy
+from dune_rl.reporting.figures.results import failures_of
 from dune_rl.reporting.runs import Row
 from dune_rl.statistics.measures import MetricsRow
 
@@ -61,7 +62,7 @@ class _Watched:
 
 
 def replay_failures(
-    method: MethodRun,
+    method: EvaluatedPolicy,
     wanted: Sequence[WantedFailure],
     size: tuple[int, int],
     progress: Callable[[], None] = lambda: None,
@@ -121,7 +122,7 @@ def _for_all(
     return {one.key: reason.splitlines()[0] for one in wanted}
 
 
-def _plan(method: MethodRun) -> tuple[EvaluationPlan, PolicySource]:
+def _plan(method: EvaluatedPolicy) -> tuple[EvaluationPlan, PolicySource]:
     """The plan of a method's evaluation, and its policy; DuneError where these are not there any more."""
     conf = read_settings(method.run.path)
     if conf.protocol is not None:

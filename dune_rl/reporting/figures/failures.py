@@ -9,8 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
+from dune_rl.reporting.comparisons.comparison import EvaluatedPolicy
 from dune_rl.reporting.figures.failure_replay import BEFORE_S, Replay, WantedFailure, replay_failures
-from dune_rl.reporting.figures.results import COLLISION, FAILURES, MethodRun, failures_of
+from dune_rl.reporting.figures.results import COLLISION, FAILURES, failures_of
 from dune_rl.reporting.figures.style import FAINT, PAGE_IN, RC, SMALL, new_figure, note_figure
 from dune_rl.reporting.figures.track_data import TrackSite, track_of
 from dune_rl.reporting.figures.tracks import draw_track_map
@@ -58,15 +59,15 @@ class FailureGallery:
 
 
 def choose_failures(
-    methods: Sequence[MethodRun], each: int = EACH, most: int = MOST_FAILURES
-) -> list[tuple[MethodRun, WantedFailure]]:
+    methods: Sequence[EvaluatedPolicy], each: int = EACH, most: int = MOST_FAILURES
+) -> list[tuple[EvaluatedPolicy, WantedFailure]]:
     """The first `each` failures of each kind of each method, at most `most`; all methods get their share.
 
     An episode is chosen for one kind alone, if the kind has another.
     """
-    queues: list[list[tuple[MethodRun, WantedFailure]]] = []
+    queues: list[list[tuple[EvaluatedPolicy, WantedFailure]]] = []
     for method in methods:
-        mine: list[tuple[MethodRun, WantedFailure]] = []
+        mine: list[tuple[EvaluatedPolicy, WantedFailure]] = []
         used: set[tuple[int, str]] = set()
         # Rare endings first: a collision, which most failures have as well, is found in other episodes, too.
         for kind in reversed(KINDS):
@@ -84,7 +85,7 @@ def choose_failures(
 
 
 def collect_failures(
-    methods: Sequence[MethodRun],
+    methods: Sequence[EvaluatedPolicy],
     each: int = EACH,
     most: int = MOST_FAILURES,
     progress: Callable[[int, int], None] = lambda done, total: None,
@@ -131,7 +132,7 @@ def collect_failures(
     return gallery
 
 
-def _counts(methods: Sequence[MethodRun]) -> dict[tuple[str, str, str], int]:
+def _counts(methods: Sequence[EvaluatedPolicy]) -> dict[tuple[str, str, str], int]:
     found: dict[tuple[str, str, str], int] = {}
     for method in methods:
         for row in method.rows:

@@ -10,22 +10,11 @@ import numpy as np
 from dune_rl.geometry.arrays import Array
 from dune_rl.metrics.catalogue import CATALOGUE, Measure
 from dune_rl.metrics.number_text import format_range
-from dune_rl.reporting.runs import EvaluationRun, Row
+from dune_rl.reporting.runs import Row
 
 # Rows of episodes by the title of the cases (a set, or a world and a seed), and in that by method.
 Results = Mapping[str, Mapping[str, Sequence[Row]]]
 _MEASURES = {measure.metric: measure for measure in CATALOGUE}
-
-
-@dataclass(frozen=True)
-class MethodRun:
-    """A method on some cases: the names of both, and its policy, its evaluation and its rows of episodes."""
-
-    cases: str
-    name: str
-    policy: str
-    run: EvaluationRun
-    rows: Sequence[Row]
 
 
 def method_names(results: Results) -> list[str]:

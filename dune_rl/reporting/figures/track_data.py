@@ -12,7 +12,8 @@ from dune_rl.config.checks import validate
 from dune_rl.config.schema import EnvConf
 from dune_rl.core.errors import DuneError
 from dune_rl.geometry.arrays import Array
-from dune_rl.reporting.figures.results import Ending, MethodRun, column, ending_of
+from dune_rl.reporting.comparisons.comparison import EvaluatedPolicy
+from dune_rl.reporting.figures.results import Ending, column, ending_of
 from dune_rl.reporting.runs import Row
 from dune_rl.worlds.world import World
 
@@ -58,13 +59,13 @@ class TrackSite:
 
 
 def collect_tracks(
-    methods: Sequence[MethodRun], most_sites: int = MOST_SITES, most_episodes: int = MOST_EPISODES
+    methods: Sequence[EvaluatedPolicy], most_sites: int = MOST_SITES, most_episodes: int = MOST_EPISODES
 ) -> list[TrackSite]:
     """The tracks of methods with steps: of each set of cases the first `most_sites` sites, as episodes come.
 
     Of each site they are those of the first `most_episodes` episodes. Methods without steps are left out.
     """
-    by_cases: dict[str, list[MethodRun]] = {}
+    by_cases: dict[str, list[EvaluatedPolicy]] = {}
     for method in methods:
         if method.run.steps:
             by_cases.setdefault(method.cases, []).append(method)
@@ -80,7 +81,7 @@ def collect_tracks(
     return found
 
 
-def track_of(method: MethodRun, row: Row, kind: str, seconds: float) -> TrackSite | None:
+def track_of(method: EvaluatedPolicy, row: Row, kind: str, seconds: float) -> TrackSite | None:
     """The last `seconds` [s] before a failure in the episode of `row`, on its site; None without steps."""
     tracks = [
         track
@@ -135,7 +136,7 @@ def _world(config: Mapping[str, Any], row: Row) -> tuple[World | None, str]:
         return None, str(error).splitlines()[0]
 
 
-def _tracks(method: MethodRun, site: int | None, episodes: Sequence[float]) -> list[EpisodeTrack]:
+def _tracks(method: EvaluatedPolicy, site: int | None, episodes: Sequence[float]) -> list[EpisodeTrack]:
     chosen = {row["episode"]: None for row in method.rows if row["episode"] in episodes}
     steps: dict[tuple[float, str], list[Row]] = {}
     for step in method.run.steps.of(method.policy, chosen):

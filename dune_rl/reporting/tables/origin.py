@@ -74,15 +74,13 @@ def evaluations_table(evaluations: Sequence[EvaluationRun]) -> Table:
 
 def _origin(run: EvaluationRun) -> dict[str, str]:
     told = run.provenance
-    git, packages, hardware = (_mapping(told.get(name)) for name in ("git", "packages", "hardware"))
+    git, packages, hardware = (told.get(name, {}) for name in ("git", "packages", "hardware"))
     commit = str(git.get("commit", ""))[:_SHOWN]
-    policies = told.get("policies")
     weights = [
-        f"{_mapping(each).get('name')} {str(_mapping(each).get('sha256'))[:_SHOWN]}"
-        for each in (policies if isinstance(policies, list) else [])
-        if _mapping(each).get("sha256")
+        f"{each.get('name')} {each['sha256'][:_SHOWN]}"
+        for each in told.get("policies", ())
+        if each.get("sha256")
     ]
-    command = told.get("command")
     return {
         "evaluation": run.name,
         "made": str(told.get("created", NOTHING)),
@@ -90,7 +88,7 @@ def _origin(run: EvaluationRun) -> dict[str, str]:
         "dune_rl": str(packages.get("dune_rl", NOTHING)),
         "weights": ", ".join(weights) or NOTHING,
         "processor": str(hardware.get("processor", NOTHING)),
-        "command": shlex.join(str(word) for word in command) if isinstance(command, list) else NOTHING,
+        "command": shlex.join(told.get("command", ())) or NOTHING,
     }
 
 

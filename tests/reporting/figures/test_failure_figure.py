@@ -13,6 +13,7 @@ import yaml
 from report_runs import methods_of
 
 from dune_rl.commands import evaluate
+from dune_rl.reporting.comparisons.comparison import EvaluatedPolicy
 from dune_rl.reporting.figures.failure_replay import replay_failures
 from dune_rl.reporting.figures.failures import (
     FailureGallery,
@@ -20,22 +21,20 @@ from dune_rl.reporting.figures.failures import (
     collect_failures,
     draw_failures,
 )
-from dune_rl.reporting.figures.results import MethodRun
 from dune_rl.reporting.runs import EvaluationRun
 from dune_rl.reporting.step_table import StepTable
 
 TEXT = {"policy", "set", "world", "engine", "agent"}
 
 
-def make_method(make_rows: Callable, name: str, **ends: list[int]) -> MethodRun:
+def make_method(make_rows: Callable, name: str, **ends: list[int]) -> EvaluatedPolicy:
     """A method of ten episodes; `ends` has the numbers of those with each failure."""
     rows = [
         {**row, "collisions": 0.0} | {kind: float(index in numbers) for kind, numbers in ends.items()}
         for index, row in enumerate(make_rows(10, 0))
     ]
-    return MethodRun(
-        "a", name, name, EvaluationRun(Path("none"), "none", {}, {}, rows, StepTable.of_rows([])), rows
-    )
+    run = EvaluationRun(Path("none"), "none", {}, {}, rows, StepTable.of_rows([]))
+    return EvaluatedPolicy(name, name, rows, [run], "a")
 
 
 def read_table(file: Path) -> list[dict[str, Any]]:
@@ -134,7 +133,7 @@ def test_functions_of_users_and_changed_weights_are_not_run(evaluated: Evaluatio
     provenance = json.loads((evaluated.path / "provenance.json").read_text())
     config["policy"] = ["os:getcwd"]
     (evaluated.path / "config.yaml").write_text(yaml.safe_dump(config))
-    other = MethodRun(method.cases, "getcwd", "getcwd", method.run, method.rows)
+    other = EvaluatedPolicy("getcwd", "getcwd", method.rows, method.runs, method.cases)
     provenance["policies"] = [{"location": "os:getcwd", "sha256": None}]
     (evaluated.path / "provenance.json").write_text(json.dumps(provenance))
     (reason,) = replay_failures(other, [wanted], (64, 64)).values()

@@ -14,7 +14,7 @@ from report_runs import methods_of
 from dune_rl.config.build import build_world
 from dune_rl.config.checks import validate
 from dune_rl.config.schema import EnvConf
-from dune_rl.reporting.figures.results import FAILURES, REACHED, MethodRun, ending_of, failures_of
+from dune_rl.reporting.figures.results import FAILURES, REACHED, ending_of, failures_of
 from dune_rl.reporting.figures.track_data import collect_tracks, until_failure
 from dune_rl.reporting.figures.tracks import SiteGround, draw_tracks, view_of
 from dune_rl.reporting.runs import EvaluationRun
@@ -187,4 +187,3 @@ def test_policies_of_one_name_with_other_rows_are_told_apart(make_rows: Callable
     again = EvaluationRun(Path("f"), "f", FLAT, {}, other.episodes, other.steps)
     names = [method.name for method in methods_of(one, again, one)]
     assert names == ["planner (e)", "planner (f)"]
-    assert all(isinstance(method, MethodRun) for method in methods_of(one))
