@@ -309,23 +309,16 @@ def surfaces_table() -> str:
 
 
 def measures_table() -> str:
-    """The measures of evaluations, with the metric that each is made of."""
-    escaped = "\\|"
+    """The measures of evaluations, with the metric that each is made of; arrows point to better values."""
+    arrows, escaped = {"higher": " ↑", "lower": " ↓"}, "\\|"
     rows = []
     for measure in CATALOGUE:
         of = f"`{measure.metric}`" + (f" / `{measure.per}`" if measure.per else "")
-        cells = (
-            f"**{measure.name}**",
-            of,
-            measure.meaning,
-            measure.unit,
-            measure.formula,
-            measure.source,
-            measure.better or "",
-        )
+        name = f"**{measure.name}**{arrows.get(measure.better or '', '')}"
+        cells = (name, of, measure.meaning, measure.unit, measure.formula, measure.source)
         rows.append(f"| {' | '.join(cell.replace('|', escaped) for cell in cells)} |")
-    head = "| name | metric | meaning | unit | formula of an episode | source | better |"
-    return "\n".join([head, "|---|---|---|---|---|---|---|", *rows])
+    head = "| name, better | metric | meaning | unit | formula of an episode | source |"
+    return "\n".join([head, "|---|---|---|---|---|---|", *rows])
 
 
 def generated_part(words: str, level: int) -> str:
