@@ -1,7 +1,7 @@
 """What a report is made of: training runs, evaluations and sweeps, as they were read from their folders."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -91,6 +91,15 @@ class ReportInputs:
         return bool(self.training or self.evaluations or self.sweeps)
 
 
+def unique_name(name: str, taken: Container[str]) -> str:
+    """The name, with a number behind it where it is among the names `taken`."""
+    unique, number = name, 1
+    while unique in taken:
+        number += 1
+        unique = f"{name} ({number})"
+    return unique
+
+
 Named = TypeVar("Named", TrainingRun, EvaluationRun, Sweep)
 
 
@@ -104,12 +113,7 @@ def with_unique_names(runs: Sequence[Named]) -> list[Named]:
         length = 2 if _SEED.fullmatch(parts[-1]) else 1
         while length < len(parts) and any(other[-length:] == parts[-length:] for other in others):
             length += 1
-        name, number = "/".join(parts[-length:]), 1
-        unique = name
-        while unique in names:
-            number += 1
-            unique = f"{name} ({number})"
-        names.append(unique)
+        names.append(unique_name("/".join(parts[-length:]), names))
     return [replace(run, name=name) for run, name in zip(runs, names, strict=True)]
 
 
@@ -129,3 +133,10 @@ def _flatten(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         else:
             found[f"{prefix}{name}"] = value
     return found
+
+
+def last_evaluation(history: Sequence[Row], group: str | None = None) -> Row:
+    """The last evaluation of a group of agents, by default of the first one; empty without one."""
+    rows = [row for row in history if row.get("kind") == "eval"]
+    wanted = str(rows[0].get("group", "")) if rows and group is None else group
+    return next((row for row in reversed(rows) if str(row.get("group", "")) == wanted), {})

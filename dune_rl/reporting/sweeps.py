@@ -9,7 +9,7 @@ import yaml
 from dune_rl.core.errors import ConfigError
 from dune_rl.metrics.catalogue import CATALOGUE
 from dune_rl.reporting.csv_rows import is_number, read_rows
-from dune_rl.reporting.runs import Note, Row, Sweep, SweepJob
+from dune_rl.reporting.runs import Note, Sweep, SweepJob, last_evaluation
 
 MULTIRUN, OPTUNA = "multirun.yaml", "optimization_results.yaml"
 _OVERRIDES, _HYDRA = ".hydra/overrides.yaml", ".hydra/hydra.yaml"
@@ -110,15 +110,6 @@ def _objective(job: Path, metric: str, notes: list[Note]) -> float:
         if is_number(last.get(name)):
             return float(last[name])
     return math.nan
-
-
-def last_evaluation(history: list[Row]) -> Row:
-    """The last evaluation of the first group of agents; empty without one."""
-    evaluated = [row for row in history if row.get("kind") == "eval"]
-    return next(
-        (row for row in reversed(evaluated) if row.get("group") == evaluated[0].get("group")),
-        {},
-    )
 
 
 def _best(jobs: list[SweepJob], found: Any, maximise: bool) -> str | None:

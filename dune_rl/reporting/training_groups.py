@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from itertools import takewhile
 from typing import Any
 
-from dune_rl.reporting.runs import Row, TrainingRun, differing_settings
+from dune_rl.reporting.runs import TrainingRun, differing_settings, unique_name
 
 _SHOWN = 3
 # Settings that change neither what is learnt nor on what.
@@ -41,11 +41,7 @@ def group_runs(runs: Sequence[TrainingRun]) -> list[TrainingGroup]:
             told = _differences(members[0].config, [each[0].config for each in same])
             seeds = f", {len(members)} seeds" if len(members) > 1 else ""
             name = f"{', '.join(told[:_SHOWN])}{seeds}" if told else name
-        unique, number = name, 1
-        while unique in {group.name for group in found}:
-            number += 1
-            unique = f"{name} ({number})"
-        found.append(TrainingGroup(unique, members))
+        found.append(TrainingGroup(unique_name(name, [group.name for group in found]), members))
     return found
 
 
@@ -84,9 +80,3 @@ def _common_beginning(names: Sequence[str]) -> str:
 def agent_groups(run: TrainingRun) -> list[str]:
     """The groups of agents that it trained; one without a name where there is only one."""
     return list(dict.fromkeys(str(row.get("group", "")) for row in run.history))
-
-
-def final_evaluation(run: TrainingRun, group: str = "") -> Row:
-    """The row of its last evaluation of a group of agents; empty without one."""
-    rows = [row for row in run.history if row["kind"] == "eval" and str(row.get("group", "")) == group]
-    return rows[-1] if rows else {}

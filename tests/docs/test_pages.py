@@ -228,6 +228,14 @@ def test_links_lead_to_files(page: Path) -> None:
     page_sources.redirect_links(page.read_text(), page, page, {})
 
 
+def test_named_test_files_are_there() -> None:
+    studies = (ROOT / "experiments").rglob("*.md")
+    named = {
+        name for page in (*PAGES, *studies) for name in re.findall(r"tests/[\w/]+\.py", page.read_text())
+    }
+    assert named and [name for name in sorted(named) if not (ROOT / name).is_file()] == []
+
+
 def test_a_broken_link_would_be_noticed() -> None:
     with pytest.raises(FileNotFoundError, match=r"there is no gone\.md"):
         page_sources.redirect_links("[text](gone.md)", DOCS / "index.md", DOCS / "index.md", {})

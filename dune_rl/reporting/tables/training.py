@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from dune_rl.metrics.catalogue import CATALOGUE, measure_of
 from dune_rl.metrics.number_text import NOTHING, format_value
 from dune_rl.reporting.csv_rows import is_number
-from dune_rl.reporting.runs import Row, Sweep, TrainingRun
+from dune_rl.reporting.runs import Row, Sweep, TrainingRun, last_evaluation
 from dune_rl.reporting.tables.methods import PAPER_MEASURES
 from dune_rl.reporting.tables.table import Cell, Table, measure_title
-from dune_rl.reporting.training_groups import TrainingGroup, agent_groups, final_evaluation
+from dune_rl.reporting.training_groups import TrainingGroup, agent_groups
 
 _RETURN = "return"
 
@@ -18,7 +18,7 @@ _RETURN = "return"
 def training_table(groups: Sequence[TrainingGroup]) -> Table:
     """What each run came to in its last evaluation, and the mean over the seeds of a group."""
     finals = [
-        (group, run, agents, final_evaluation(run, agents))
+        (group, run, agents, last_evaluation(run.history, agents))
         for group in groups
         for run in group.runs
         for agents in agent_groups(run)
