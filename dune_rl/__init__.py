@@ -46,10 +46,12 @@ __all__ = [
     "register_body",
     "register_encoder",
     "register_metric",
+    "register_motion_model",
     "register_randomisation",
     "register_reward",
     "register_robot",
     "register_sensor",
+    "register_start_source",
     "register_termination",
     "register_world",
     "sensor_bounds",
@@ -222,6 +224,8 @@ register_sensor = RegisterDecorator("dune_rl.sensors.registry:SENSORS")
 register_behaviour = RegisterDecorator("dune_rl.behaviours.registry:BEHAVIOURS")
 register_reward = RegisterDecorator("dune_rl.tasks.registry:REWARDS")
 register_termination = RegisterDecorator("dune_rl.tasks.registry:TERMINATIONS")
+register_start_source = RegisterDecorator("dune_rl.tasks.registry:START_SOURCES")
+register_motion_model = RegisterDecorator("dune_rl.bodies.motion:MOTION_MODELS")
 register_metric = RegisterDecorator("dune_rl.metrics.registry:METRICS")
 register_randomisation = RegisterDecorator("dune_rl.env.randomisation:RANDOMISATIONS")
 register_encoder = RegisterDecorator("dune_rl.learning.networks.registry:ENCODERS")

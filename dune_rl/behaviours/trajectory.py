@@ -1,7 +1,6 @@
 """The controller `trajectory`: actors that follow the timed way-points of a world's file, or of others."""
 
 import warnings
-from collections.abc import Callable
 from typing import NamedTuple, Self
 from weakref import WeakKeyDictionary
 
@@ -16,7 +15,6 @@ from dune_rl.worlds.actor_trajectory import ActorTrajectory
 from dune_rl.worlds.world import World
 
 Scenes = NDArray[np.int64]
-SamplePoints = Callable[[np.random.Generator, int, float], Array]
 
 # Added to the times of agent k, k times, so that one sorted array holds the times of all.
 _APART_S = 4e6
@@ -104,7 +102,7 @@ class TrajectoryFollower:
         self._targets = np.zeros((scenes, count, 4))
         self._offsets = np.zeros((scenes, count, 2))
 
-    def find_paths(self, world: World, sample_points: SamplePoints, rng: np.random.Generator) -> None:
+    def find_trajectories(self, world: World) -> None:
         """Take the trajectories through `world`; raises `WorldError` if there are fewer than agents."""
         if world in self._banks:
             return
@@ -125,9 +123,6 @@ class TrajectoryFollower:
             fitted = tuple(fit_to_world(actor, world) for actor in self._actors[: self.count])
             self._banks[world] = TrajectoryBank.of(fitted)
 
-    def clear_paths(self) -> None:
-        """Nothing: trajectories depend on their worlds alone."""
-
     def paths(self, agent: int, scene: int = 0) -> list[Array]:
         """The way-points (P, 2) [m] of an agent of a scene, as a list of one."""
         bank = self._banks[self._worlds[scene]]
@@ -138,7 +133,7 @@ class TrajectoryFollower:
         poses = self._banks[world].poses_at(np.zeros(self.count))
         return self._on_ground(world, poses)
 
-    def reset(self, scene: int, rng: np.random.Generator, avoid_xy: Array) -> Array:
+    def reset(self, scene: int) -> Array:
         """Start poses (G, 4) of a scene's agents."""
         world = self._worlds[scene]
         bank = self._banks[world]

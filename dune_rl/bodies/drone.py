@@ -18,7 +18,8 @@ from dune_rl.bodies.fields import (
     TurnRate,
     Width,
 )
-from dune_rl.bodies.settings import FlightBand, MotionLimits, MotionModel, RectangularBody
+from dune_rl.bodies.motion import MotionLimits, MotionModelName
+from dune_rl.bodies.settings import FlightBand, RectangularBody
 from dune_rl.rendering.scenery import ColouredMesh
 
 
@@ -40,7 +41,7 @@ class DroneConf(RectangularBody):
     climb_mps: Climb = 1.5
 
     kind: ClassVar[str] = "drone"
-    motion_model: ClassVar[MotionModel] = "flying"
+    motion_model: ClassVar[MotionModelName] = "flying"
 
     @model_validator(mode="after")
     def _flies_within_its_band(self) -> Self:

@@ -5,7 +5,8 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from dune_rl.bodies.settings import BodySettings, MotionLimits
+from dune_rl.bodies.motion import MotionLimits
+from dune_rl.bodies.settings import BodySettings
 from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.physics.shapes import KinematicCapsule
 from dune_rl.rendering.light import srgb_to_linear

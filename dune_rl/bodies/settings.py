@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
 
@@ -26,39 +26,13 @@ from dune_rl.bodies.fields import (
     WheelRadius,
     Width,
 )
+from dune_rl.bodies.motion import Motion, MotionLimits, MotionModelName
 from dune_rl.core.settings import Settings
 from dune_rl.geometry.arrays import Array
 from dune_rl.physics.shapes import KinematicBox, KinematicShape
 from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.rendering.scenery import ColouredMesh
 from dune_rl.state.sensor_carrier import SensorCarrier
-
-MotionModel = Literal["unicycle", "bicycle", "holonomic", "flying"]
-
-
-@dataclass(frozen=True)
-class MotionLimits:
-    """What a body can do, and how it moves.
-
-    `model` is one of:
-
-    - `unicycle`: it turns at up to `max_turn_radps`, on the spot too, and goes where it faces.
-    - `bicycle`: its rear axle, `rear_m` behind the origin, follows curves of at least `turning_radius_m`.
-    - `holonomic`: it goes in any direction, and turns towards it at up to `max_turn_radps`.
-    - `flying`: as `holonomic`, and climbs or sinks at up to `max_climb_mps`.
-
-    A speed of None is not limited. `max_reverse_mps` is 0 for bodies that never go backwards.
-    """
-
-    model: MotionModel
-    max_speed_mps: float
-    max_turn_radps: float | None = None
-    turning_radius_m: float = 0.0
-    rear_m: float = 0.0
-    max_reverse_mps: float = 0.0
-    acceleration_mps2: float | None = None
-    braking_mps2: float | None = None
-    max_climb_mps: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -75,8 +49,8 @@ class BodySettings(Settings):
     """Settings of a kinematic body; `name` selects the settings class when a file is read.
 
     A subclass for a new body states the defaults of its fields, its `kind`, by which encounters and
-    collisions are named, and its `motion_model`, and draws its `picture`. Slopes of 90 degrees and depths of
-    100 m stand for any.
+    collisions are named, and its `motion_model`, and draws its `picture`. `motion` is a registered motion
+    model in place of that one. Slopes of 90 degrees and depths of 100 m stand for any.
     """
 
     name: str
@@ -84,9 +58,10 @@ class BodySettings(Settings):
     max_push_n: Push = 250.0
     max_slope_deg: Slope = 90.0
     max_water_m: Depth = 100.0
+    motion: Motion | None = None
 
     kind: ClassVar[str] = "body"
-    motion_model: ClassVar[MotionModel] = "unicycle"
+    motion_model: ClassVar[MotionModelName] = "unicycle"
 
     @property
     def size_m(self) -> tuple[float, float, float]:
@@ -215,7 +190,7 @@ class Vehicle(RectangularBody):
     reverse_mps: Reverse = 1.0
 
     kind: ClassVar[str] = "vehicle"
-    motion_model: ClassVar[MotionModel] = "bicycle"
+    motion_model: ClassVar[MotionModelName] = "bicycle"
 
     @property
     def max_bump_m(self) -> float:

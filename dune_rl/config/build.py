@@ -19,12 +19,12 @@ from dune_rl.config.schema import EnvConf, SingleAgentConf
 from dune_rl.env.agent_group import GroupSetup
 from dune_rl.env.arguments import check_whole
 from dune_rl.env.domain_randomizer import DomainRandomizer
-from dune_rl.env.episodes.plan import EpisodePlan
 from dune_rl.env.gymnasium import GymnasiumEnv
 from dune_rl.env.gymnasium_vector import GymnasiumVectorEnv
 from dune_rl.env.pettingzoo import ParallelDuneEnv
-from dune_rl.env.render_mode import RenderMode
+from dune_rl.env.requests import EpisodePlan
 from dune_rl.env.simulation import VectorSimulation
+from dune_rl.env.window import RenderMode
 from dune_rl.physics.interface import Engine, PhysicsScene, SceneSpec
 from dune_rl.robots.registry import ROBOTS
 from dune_rl.robots.robot import Robot

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from dune_rl.behaviours.registry import BEHAVIOURS, BehaviourSettings
+from dune_rl.bodies.motion import MOTION_MODELS, MotionSettings
 from dune_rl.bodies.registry import BODIES
 from dune_rl.bodies.settings import BodySettings
 from dune_rl.config.shorthands import SHORTHANDS
@@ -22,7 +23,8 @@ from dune_rl.metrics.registry import METRICS, MetricTermConf
 from dune_rl.robots.registry import ROBOTS
 from dune_rl.robots.settings import RobotSettings
 from dune_rl.sensors.registry import SENSORS, SensorSettings
-from dune_rl.tasks.registry import REWARDS, TERMINATIONS, RewardTermConf, TerminationTermConf
+from dune_rl.tasks.registry import REWARDS, START_SOURCES, TERMINATIONS, RewardTermConf, TerminationTermConf
+from dune_rl.tasks.spawn import SpawnConf
 from dune_rl.worlds.registry import WORLDS
 from dune_rl.worlds.settings import WorldSettings
 
@@ -40,6 +42,8 @@ _REGISTRIES: Mapping[type[BaseModel], Registry[Any]] = {
     RewardTermConf: REWARDS,
     TerminationTermConf: TERMINATIONS,
     MetricTermConf: METRICS,
+    SpawnConf: START_SOURCES,
+    MotionSettings: MOTION_MODELS,
 }
 _RANGES = {
     "greater_than_equal": ("ge", "at least"),

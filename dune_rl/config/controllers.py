@@ -13,7 +13,6 @@ from dune_rl.config.group_files import describe_owner
 from dune_rl.core.errors import CheckpointError
 from dune_rl.env.agent_group import AgentGroup, MakeController
 from dune_rl.env.controllers import BehaviourController, Controller, PolicyController
-from dune_rl.env.driver_context import bind_to_group
 from dune_rl.geometry.arrays import Array
 from dune_rl.sensors.sensor import Reading
 
@@ -36,7 +35,7 @@ def places_of(conf: ControllerConf) -> tuple[tuple[float, float], ...]:
 
 def _behaviour(conf: BehaviourSettings, group: AgentGroup) -> Controller:
     behaviour = BEHAVIOURS.build(conf, group.num_rows)
-    bind_to_group(behaviour, conf.name, group)
+    group.bind(behaviour, conf.name)
     return BehaviourController(behaviour)
 
 

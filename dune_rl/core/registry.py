@@ -104,7 +104,7 @@ class Registry(Generic[ProductT]):
     @property
     def entry_point_group(self) -> str:
         """The entry-point group in which packages add parts."""
-        return f"dune_rl.{self.kind}s"
+        return f"dune_rl.{self.kind.replace(' ', '_')}s"
 
     def names(self) -> list[str]:
         """Names of all parts, sorted, without importing users' packages."""

@@ -2,35 +2,37 @@
 metrics.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dune_rl.behaviours.paths.follower import PathConf, PathFollower
-from dune_rl.behaviours.trajectory import TrajectoryFollower
+from dune_rl.behaviours.drivers.context import ContextBehaviour, DriverContext
+from dune_rl.behaviours.paths.follower import PathConf
 from dune_rl.bodies.settings import BodySettings
+from dune_rl.core.errors import ConfigError
 from dune_rl.env.body import Body
 from dune_rl.env.collision_counter import CollisionCounter
 from dune_rl.env.controllers import Controller
-from dune_rl.env.goals import GoalTracker, PathGoals, Spawners
+from dune_rl.env.goal_tracker import GoalTracker
 from dune_rl.env.group_metrics import GroupMetrics
-from dune_rl.env.kinematic import KinematicBody
-from dune_rl.env.visits import Visits
-from dune_rl.geometry.arrays import Array, Flags, Floats
+from dune_rl.env.presence import PresenceSchedule
+from dune_rl.env.starts.region import Spawners
+from dune_rl.env.starts.source import StartSource, Taken
+from dune_rl.geometry.arrays import Array, Counts, Flags, Floats
 from dune_rl.metrics.episode import MetricsConf
-from dune_rl.physics.interface import PhysicsRobot
 from dune_rl.robots.robot import Robot
 from dune_rl.sensors.sensor import Bounds, Reading
 from dune_rl.sensors.suite import SensorsConf, SensorSuite
-from dune_rl.state.state import EnergyState, GoalState, GroupState, ScanQueries, State
+from dune_rl.state.state import GoalState, GroupState, ScanQueries, State
 from dune_rl.tasks.presence import PresenceConf
+from dune_rl.tasks.spawn import Placement
 from dune_rl.tasks.task import Endings, Task, TaskConf
 from dune_rl.worlds.actor_trajectory import ActorTrajectory
 
-RobotFactory = Callable[[int], Robot]
+_SPEED_AND_HEADING = 2
 
+RobotFactory = Callable[[int], Robot]
 
 MakeController = Callable[["AgentGroup"], Controller]
 
@@ -69,6 +71,11 @@ class GroupSetup:
         return self.controller is None and not self.is_scripted
 
     @property
+    def is_on_path(self) -> bool:
+        """Whether the agents start on paths or trajectories, whether they are moved along them or steer."""
+        return self.paths is not None or self.follows_trajectories
+
+    @property
     def is_scripted(self) -> bool:
         """Whether kinematic agents are moved along paths or trajectories, without actions."""
         return self.follows_paths or self.follows_trajectories
@@ -87,34 +94,29 @@ class GroupStep:
     truncated: Flags
 
 
-@dataclass(frozen=True)
-class Evaluation:
-    """The rewards (N,) of a control step, and the group's state with renewed goals."""
-
-    reward: Floats
-    state: GroupState
-
-
 class AgentGroup:
     """The agents of one group in M scenes, rows scene after scene: N = M * G.
 
+    A control step enters it once for each phase: `leave`, `command`, `read`, `evaluate`, `sense`.
+
     An agent that is done before its scene's episode ends stays in the scene: it stands still, its rewards
-    are 0, and its metrics do not change. Where agents come and go, `visits` says when; those that are not in
-    their scenes count as done, and as truncated if they have not ended otherwise.
+    are 0, and its metrics do not change. Where agents come and go, `presence` says when; absent agents count
+    as done, and as truncated if they have not ended otherwise.
     """
 
     def __init__(
         self,
         setup: GroupSetup,
         body: Body,
-        goals: GoalTracker,
+        starts: StartSource,
         spawners: Spawners,
         num_rows: int,
         collision_gap_steps: int,
-        visits: Visits | None = None,
+        presence: PresenceSchedule | None = None,
     ) -> None:
         self.setup, self.name, self.count = setup, setup.name, setup.count
-        self.body, self.goals, self.spawners, self.visits = body, goals, spawners, visits
+        self.body, self.starts, self.spawners, self.presence = body, starts, spawners, presence
+        self.goals = GoalTracker(starts, num_rows)
         self.suite: SensorSuite | None = None
         self.names = tuple(f"{setup.name}_{agent}" for agent in range(setup.count))
         self.collisions = CollisionCounter(num_rows, collision_gap_steps)
@@ -128,10 +130,11 @@ class AgentGroup:
         self.action_size = len(low)
         self.rest_action = body.rest_action()
         self.description = replace(body.description, avoids=not setup.is_scripted)
-        self._ends: Endings | None = None
         self.num_rows = num_rows
-        self._controller: Controller | None = None
         self.scanner: ScanQueries | None = None
+        self.controller: Controller | None = None
+        self._ends: Endings | None = None
+        self._arrived = np.zeros(num_rows, bool)
 
     @property
     def needs_scan(self) -> bool:
@@ -154,7 +157,19 @@ class AgentGroup:
         by_sensors = suite is not None and suite.needs_joints
         self.body.reads_joints = by_sensors or self.measured.needs_joints
         if self.setup.controller is not None:
-            self._controller = self.setup.controller(self)
+            self.controller = self.setup.controller(self)
+
+    def bind(self, behaviour: object, name: str) -> None:
+        """Bind a behaviour to the group if it wants that; raises ConfigError if it cannot drive here."""
+        if not isinstance(behaviour, ContextBehaviour):
+            return
+        if self.action_size != _SPEED_AND_HEADING:
+            raise ConfigError(
+                f"{name} cannot act for the group {self.name}: it outputs a speed and a heading, and the "
+                f"action has {self.action_size} components; choose another robot.action"
+            )
+        lidar = None if self.suite is None else self.suite.conf.lidar
+        behaviour.bind(DriverContext(self.name, self.body.vehicle(), lidar, self.observe))
 
     @property
     def is_external(self) -> bool:
@@ -184,12 +199,26 @@ class AgentGroup:
         for flags in (self.done, self.terminated, self.truncated):
             flags[mask] = False
 
-    def read_start(self, mask: Flags, engines: Sequence[PhysicsRobot], bodies: int) -> None:
+    def place(self, scene: int, poses: Array) -> None:
+        """Put the bodies of a scene at `poses` (G, 4: x, y, z, yaw); absent ones are parked."""
+        if self.starts.faces_free_way:
+            poses = self.body.turned_to_free_way(scene, poses)
+        self.body.place(scene, poses)
+        if self.presence is not None:
+            rows = scene * self.count + np.arange(self.count)
+            self._park(rows[self.presence.absent[rows]])
+
+    def _park(self, rows: Counts) -> None:
+        """Park the agents in `rows` (K,), with goals where they are: nothing is left of earlier ones."""
+        self.body.park(rows)
+        self.starts.set_goals(rows, self.body.poses[rows, :2])
+
+    def read_start(self, mask: Flags, bodies: int) -> None:
         """Read the start states in `mask` (N,) from physics; a scene has at most `bodies` bodies."""
         self.collisions.make_room(bodies)
-        self.body.read_start(mask, engines)
-        if self.visits is not None:
-            self.truncate(mask & self.visits.absent)
+        self.body.read_start(mask)
+        if self.presence is not None:
+            self.truncate(mask & self.presence.absent)
 
     def begin(self, mask: Flags, state: State) -> None:
         """Start task, metrics, sensors and controller of the agents in `mask` (N,) at `state`."""
@@ -197,57 +226,64 @@ class AgentGroup:
         if self.task is not None:
             self.task.reset(mask, now)
         self.measured.reset(mask, now)
-        if self.visits is not None:
-            self.measured.clear(mask & self.visits.absent)
+        if self.presence is not None:
+            self.measured.clear(mask & self.presence.absent)
         if self.suite is not None:
             self.suite.begin(mask, now, state)
-        if self._controller is not None:
-            self._controller.reset(mask, now)
+        if self.controller is not None:
+            self.controller.reset(mask, now)
 
-    # -- a step -----------------------------------------------------------------------------------
+    # -- the phases of a control step -------------------------------------------------------------
 
-    def act(self, actions: Array | None, state: State, engines: Sequence[PhysicsRobot]) -> None:
+    def leave(self) -> None:
+        """Take the agents that are done out of their scenes, where agents come and go."""
+        if self.presence is None:
+            return
+        gone = self.done & ~self.presence.absent
+        if gone.any():
+            self.presence.leave(gone)
+            rows = np.flatnonzero(gone)
+            self._park(rows)
+            self.body.teleport(rows)
+
+    def command(self, actions: Array | None, state: State) -> None:
         """Command the bodies for a control step, by `actions` (N, A) of an external group or by the
-        controller.
+        controller, which decides on the `state` of the step before.
         """
         now = state.groups[self.name]
-        if self.setup.is_scripted and isinstance(self.body, KinematicBody):
-            assert isinstance(self.goals.source, PathGoals)
-            follower, step_s = self.goals.source.follower, now.episode.step_s
-            timed = isinstance(follower, TrajectoryFollower)
-            self.body.move_to(follower.advance(step_s if timed else self.body.limits.max_speed_mps * step_s))
-            return
-        if self._controller is not None:
-            actions = self._controller.act(state, now, self.observe)
+        if self.controller is not None:
+            actions = self.controller.act(state, now, self.observe)
         assert actions is not None
-        if self.done.any():
+        if not self.setup.is_scripted and self.done.any():
             # Behaviours may leave the last numbers out.
             rest = self.rest_action[: actions.shape[1]]
             actions = np.where(self.done[:, None], rest, actions)
         known = now.motion if self.suite is None else self.suite.controller_motion(now)
-        self.body.command(actions, known, engines)
+        self.body.command(actions, known)
 
-    def hold_back(self, scenes: NDArray[np.int64], poses: Array) -> None:
-        """Set the kinematic bodies of `scenes` (S,) to `poses` (S, G, 6), where robots blocked them."""
-        assert isinstance(self.body, KinematicBody)
+    def hold_back(self, scenes: Counts, poses: Array) -> None:
+        """Set the bodies of `scenes` (S,) to `poses` (S, G, 6), where robots blocked them."""
         self.body.hold_back(scenes, poses)
-        if self.setup.is_scripted:
-            assert isinstance(self.goals.source, PathGoals)
-            follower = self.goals.source.follower
-            if self.visits is not None:
-                assert isinstance(follower, PathFollower), "trajectories have times of their own"
-                absent = self.visits.absent.reshape(-1, self.count)[scenes]
-                poses = np.where(absent[..., None], follower.targets(scenes), poses[..., :4])
-            follower.hold_back(scenes, poses)
+        self.starts.hold_back(scenes, poses, None if self.presence is None else self.presence.absent)
 
-    def read(self, engines: Sequence[PhysicsRobot]) -> list[tuple[int, int]]:
-        """Read the bodies' states after a physics step; returns contacts as pairs of row and body number."""
-        return self.body.read(engines)
+    def due(self, steps: Counts) -> list[int]:
+        """Rows of agents that are to come after a control step; `steps` (M,) are the scenes'."""
+        return [] if self.presence is None else self.presence.due(np.repeat(steps, self.count))
 
-    @property
-    def energy(self) -> EnergyState | None:
-        """Motor work in the last control step, and the battery; None unless it is measured."""
-        return self.body.energy
+    def come(self, row: int, pose: Array, step: int) -> None:
+        """Put an absent agent at `pose` (4: x, y, z, yaw), at the end of a `step` of its scene."""
+        assert self.presence is not None
+        self.body.come(row, pose)
+        self.presence.admit(row, step)
+        self._arrived[row] = True
+
+    def begin_arrivals(self) -> None:
+        """Begin the states of the agents that came in this step."""
+        if self.presence is not None and self._arrived.any():
+            self.body.teleport(np.flatnonzero(self._arrived))
+            self.collisions.reset(self._arrived)
+            self.body.read_start(self._arrived)
+            self.goals.begin(self._arrived, self.body.motion)
 
     def measure_goals(self) -> GoalState:
         """Distances and bearings of the goals after a step; not updated if nothing reads them."""
@@ -260,14 +296,24 @@ class AgentGroup:
         self._ends = self.task.end(state, state.groups[self.name])
         return self._ends.by_term
 
-    def evaluate(self, state: State) -> Evaluation:
-        """Evaluate the task's terms and the metrics of the step that `state` describes."""
+    def evaluate(self, state: State) -> tuple[Floats, GroupState]:
+        """Reward (N,) of the step that `state` describes, and the group's state with which the next begins.
+
+        It differs where goals are renewed or agents have come. Adds the step to the metrics.
+        """
         now = state.groups[self.name]
-        if self.task is None or self._ends is None:
-            return Evaluation(np.zeros(len(self.done), np.float32), now)
-        ends = self._ends
-        reward = self.task.reward(state, now)
-        self.measured.update(state, now, reward)
+        reward = np.zeros(self.num_rows, np.float32)
+        if self.task is not None and self._ends is not None:
+            values = self.task.reward(state, now)
+            self.measured.update(state, now, values)
+            now = self._end(self._ends, now)
+            reward = values.astype(np.float32)
+        if self.presence is not None:
+            now = self._exchange(self.presence, now)
+        return reward, now
+
+    def _end(self, ends: Endings, now: GroupState) -> GroupState:
+        """Note which agents are done, and renew goals that are reached."""
         renews = ends.renews & ~self.done
         if renews.any():
             now = replace(now, goal=self.goals.renew(renews, now.motion, now.goal))
@@ -276,7 +322,16 @@ class AgentGroup:
             self.terminated |= ended & ends.terminated
             self.truncated |= ended & ~ends.terminated
             self.done |= ended
-        return Evaluation(reward.astype(np.float32), now)
+        return now
+
+    def _exchange(self, presence: PresenceSchedule, now: GroupState) -> GroupState:
+        """Truncate the agents whose time is over, and let the agents that have come take part."""
+        self.truncate(presence.leaving(now.episode.steps) & ~self.done)
+        if not self._arrived.any():
+            return now
+        for flags in (self.done, self.terminated, self.truncated):
+            flags[self._arrived] = False
+        return replace(now, done=now.done & ~self._arrived)
 
     def truncate(self, mask: Flags) -> None:
         """Truncate the agents in `mask` (N,) that have not terminated: their scene's episode, or visit, is
@@ -285,15 +340,20 @@ class AgentGroup:
         self.truncated |= mask & ~self.terminated
         self.done |= mask
 
-    def admit(self, mask: Flags) -> None:
-        """Let the agents in `mask` (N,), who have just come, take part from the next step on."""
-        for flags in (self.done, self.terminated, self.truncated):
-            flags[mask] = False
+    def sense(self, state: State) -> None:
+        """Read the sensors at the end of a control step, and begin the episodes of agents that have come."""
+        if self.suite is not None:
+            self.suite.measure(state.groups[self.name], state)
+        if self.presence is not None and self._arrived.any():
+            self.begin(self._arrived, state)
+            self._arrived = np.zeros(self.num_rows, bool)
 
-    def own_steps(self, steps: NDArray[np.int64]) -> NDArray[np.int64]:
+    # -- presence ---------------------------------------------------------------------------------
+
+    def own_steps(self, steps: Counts) -> Counts:
         """Control steps (N,) of each agent, of those of the scenes, (M,)."""
         rows = steps if self.count == 1 else np.repeat(steps, self.count)
-        return rows if self.visits is None else self.visits.own_steps(rows)
+        return rows if self.presence is None else self.presence.own_steps(rows)
 
     @property
     def is_there_at_start(self) -> bool:
@@ -302,20 +362,22 @@ class AgentGroup:
 
     def agents_of(self, scene: int) -> list[int]:
         """Numbers of the agents of a scene that are there."""
-        if self.visits is None:
+        if self.presence is None:
             return list(range(self.count))
         rows = slice(scene * self.count, (scene + 1) * self.count)
-        return np.flatnonzero(~self.visits.absent[rows]).tolist()
+        return np.flatnonzero(~self.presence.absent[rows]).tolist()
 
     @property
     def absent(self) -> Flags | None:
         """Flags (N,) of agents that are not in their scenes; None where agents do not come and go."""
-        return None if self.visits is None else self.visits.absent.copy()
+        return None if self.presence is None else self.presence.absent.copy()
 
-    def sense(self, state: State) -> None:
-        """Read the sensors at the end of a control step."""
-        if self.suite is not None:
-            self.suite.measure(state.groups[self.name], state)
+    def placement(self, scene: int, agent: int) -> Taken:
+        """Where an agent is and goes to, and the radius of a disc that holds it [m]."""
+        row = scene * self.count + agent
+        x, y, _, yaw = self.body.poses[row, :4].tolist()
+        goal_x, goal_y = self.starts.goals_w[row].tolist()
+        return Placement(x, y, yaw, goal_x, goal_y), self.description.reach_m
 
     # -- observations and metrics -----------------------------------------------------------------
 
@@ -337,6 +399,6 @@ class AgentGroup:
         if self.measured.own is None or self.task is None:
             return []
         sums = self.task.reward_sums
-        if self.visits is not None:
-            sums = np.where(self.visits.came[:, None], sums, np.nan)
+        if self.presence is not None:
+            sums = np.where(self.presence.came[:, None], sums, np.nan)
         return [self.measured.own.values, sums]

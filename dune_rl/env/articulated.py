@@ -1,18 +1,24 @@
 """Robots in physics: N = M * G of one kind, from actions to motor commands and from the engine to motion."""
 
+from collections.abc import Sequence
+from functools import cached_property
+
 import numpy as np
 
-from dune_rl.env.body import Engines
-from dune_rl.env.drag import drag_forces
+from dune_rl.behaviours.drivers.context import Unicycle
+from dune_rl.env.body import SceneBodies
 from dune_rl.env.latency import Latency
 from dune_rl.env.proximity import Outline
-from dune_rl.env.robot_mesh import robot_mesh
-from dune_rl.env.traction import Traction
-from dune_rl.geometry.arrays import Array, Flags
+from dune_rl.env.randomised_properties import EpisodeVariation
+from dune_rl.env.scene_spec import standing_pose
+from dune_rl.env.traction import Traction, drag_forces
+from dune_rl.geometry.arrays import Array, Counts, Flags
 from dune_rl.geometry.frame_loops import derive_motion
-from dune_rl.physics.interface import PhysicsConf, PhysicsRobot
+from dune_rl.physics.interface import PhysicsConf, PhysicsRobot, PhysicsScene
 from dune_rl.rendering.moving_mesh import MovingMesh
+from dune_rl.rendering.posed_mesh import PosedMesh
 from dune_rl.robots.robot import BodyMotion, Robot
+from dune_rl.robots.visual import RobotVisual, robot_mesh
 from dune_rl.sensors.odometry import DriveGeometry
 from dune_rl.state.body_description import BodyDescription
 from dune_rl.state.sensor_carrier import SensorCarrier, WheelMotion
@@ -24,12 +30,14 @@ from dune_rl.worlds.world import World
 # are slower, worlds are smaller, and components of unit quaternions are at most 1.
 _STATE_LIMITS = np.repeat([1e5, 1.01, 50.0, 200.0], [3, 4, 3, 3])
 
+# Of robots that do not say how they turn.
+_YAW_RATE_RADPS, _HEADING_GAIN_PER_S = 1.0, 2.0
+
 
 class ArticulatedBody:
     """The bodies of N robots of one kind, rows scene after scene: a `Body` that physics simulates.
 
-    `latency` delays the commands, if it is not None. The physics robots (`engines`, one per row) are passed
-    to each call, because scenes may be rebuilt between episodes.
+    `latency` delays the commands, if it is not None. `engines` are the robots in physics, one per row.
     """
 
     def __init__(
@@ -39,14 +47,19 @@ class ArticulatedBody:
         worlds: BatchedWorlds,
         count: int,
         *,
+        first: int = 0,
         has_latency: bool = False,
         measures_work: bool = False,
     ) -> None:
-        self.robot = robot
+        self.robot, self.first = robot, first
+        self.footprint_radius_m = robot.footprint_radius_m
         rows = len(worlds) * count
         self.count = count
         self.traction = Traction(robot, physics, rows)
         self.latency = Latency(rows, robot.body.rest_commands(), physics.control_hz) if has_latency else None
+        self.engines: list[PhysicsRobot] = []
+        # Start poses by scene, until they are read: positions (G, 3) and quaternions (G, 4).
+        self._placed: dict[int, list[tuple[Array, Array]]] = {}
         self.reads_joints = False
         self._measures_work = measures_work
         self._worlds = worlds
@@ -75,6 +88,21 @@ class ArticulatedBody:
         """Action (A,) at which the robot stands still."""
         return self.robot.rest_action()
 
+    def vehicle(self) -> Unicycle:
+        """The model of the robot for behaviours that output a speed and a heading."""
+        robot, (low, high) = self.robot, self.robot.action_bounds()
+        steering = None if robot.wheels is None else robot.wheels.steering
+        return Unicycle(
+            float(np.float32(low[0])),
+            float(np.float32(high[0])),
+            getattr(robot, "max_yaw_rate_radps", _YAW_RATE_RADPS),
+            getattr(robot, "heading_gain_per_s", _HEADING_GAIN_PER_S),
+            robot.length_m,
+            robot.width_m,
+            robot.footprint_radius_m,
+            0.0 if steering is None else 1.0 / min(steering.max_curvatures()),
+        )
+
     def carrier(self) -> SensorCarrier:
         """The robot as a carrier of sensors."""
         mounts, wheels = self.robot.mounts, self.robot.wheels
@@ -98,6 +126,31 @@ class ArticulatedBody:
         """What the sensors of others see."""
         return robot_mesh(self.robot.body)
 
+    @cached_property
+    def _visual(self) -> RobotVisual:
+        return RobotVisual(self.robot.body.look or self.robot.body.urdf)
+
+    def pictures(self, row: int) -> list[PosedMesh]:
+        """What pictures show of a robot now, its joints as they are."""
+        motion = self.motion
+        return self._visual.posed_meshes(motion.position_w[row], motion.rotation[row], self.joint_angles(row))
+
+    def joint_angles(self, row: int) -> dict[str, float]:
+        """Angles [rad] of the motors' and the passive joints of a robot, by name."""
+        body = self.robot.body
+        names = [*body.drive_joints, *(joint.joint for joint in body.passive)]
+        return dict(zip(names, self.engines[row].joint_angles(names), strict=True))
+
+    def shapes(self, names: tuple[str, ...]) -> SceneBodies:
+        """A robot in physics for each of the agents' `names`."""
+        return SceneBodies(robots=(self.robot.body,) * len(names))
+
+    def outline_points(self, scene: int) -> Array:
+        """The middles (G, 2) [m] of the robots of a scene."""
+        if scene in self._placed:
+            return np.array([position[:2] for position, _ in self._placed[scene]])
+        return self.motion.position_w[scene * self.count : (scene + 1) * self.count, :2]
+
     @property
     def energy(self) -> EnergyState | None:
         """Motor work in the last control step, and the battery; None unless it is measured."""
@@ -109,14 +162,39 @@ class ArticulatedBody:
         """Reset the controllers of the robots in `mask` (N,)."""
         self.robot.reset(mask)
 
-    def reset_contacts(self, row: int, engine: PhysicsRobot, world: World, pose: tuple[Array, Array]) -> None:
-        """Reset latency and wheel contacts of a robot at its start `pose` (position, quaternion)."""
-        if self.latency is not None:
-            self.latency.reset(row)
-        self.traction.begin(row, world, engine, *pose)
+    def bind(self, scene: int, physics: PhysicsScene) -> None:
+        """Take the robots of a scene from its physics, which may have been built anew."""
+        robots = list(physics.robots[self.first : self.first + self.count])
+        self.engines[scene * self.count : (scene + 1) * self.count] = robots
 
-    def read_start(self, mask: Flags, engines: Engines) -> None:
+    def turned_to_free_way(self, scene: int, poses: Array) -> Array:
+        """The start `poses` (G, 4) as they are: robots find their way out."""
+        return poses
+
+    def place(self, scene: int, poses: Array) -> None:
+        """Set the start poses of a scene's robots to `poses` (G, 4: x, y, z, yaw), standing on the ground."""
+        world, first = self._worlds.worlds[scene], scene * self.count
+        placed = [standing_pose(world, self.robot, x, y, yaw) for x, y, _, yaw in poses.tolist()]
+        for engine, (position, quaternion) in zip(
+            self.engines[first : first + self.count], placed, strict=True
+        ):
+            engine.set_start_pose(position.tolist(), quaternion.tolist())
+        self._placed[scene] = placed
+
+    def touch_ground(self, scene: int, world: World, variation: EpisodeVariation) -> None:
+        """Set wheel contacts and latency of a scene's robots by the episode's `variation`."""
+        for agent, pose in enumerate(self._placed[scene]):
+            row = scene * self.count + agent
+            self.traction.set_factors(row, variation.contacts)
+            if self.latency is not None:
+                self.latency.set_delay(row, variation.latency_s or 0.0)
+                self.latency.reset(row)
+            self.traction.begin(row, world, self.engines[row], *pose)
+
+    def read_start(self, mask: Flags) -> None:
         """Read the states of the robots in `mask` (N,) after they have settled."""
+        self._placed.clear()
+        engines = self.engines
         reads_joints = self._reads_joints
         states = self._states.copy()
         for row in np.flatnonzero(mask).tolist():
@@ -135,7 +213,21 @@ class ArticulatedBody:
 
     # -- a step -----------------------------------------------------------------------------------
 
-    def command(self, actions: Array, known: BodyMotion, engines: Engines) -> None:
+    def come(self, row: int, pose: Array) -> None:
+        """Robots are always in their scenes."""
+        raise AssertionError("robots do not come and go")
+
+    def park(self, rows: Counts) -> None:
+        """Robots are always in their scenes."""
+        raise AssertionError("robots do not come and go")
+
+    def teleport(self, rows: Counts) -> None:
+        """Nothing: physics has the robots' poses."""
+
+    def hold_back(self, scenes: Counts, poses: Array) -> None:
+        """Nothing: physics moves robots."""
+
+    def command(self, actions: Array, known: BodyMotion) -> None:
         """Command the motors for `actions` (N, A), and apply the resistance of grass and soft ground.
 
         `known` is the motion that the robots' controllers measure; with realism it differs from the truth.
@@ -143,14 +235,14 @@ class ArticulatedBody:
         commands = self.robot.commands(actions, known, self._step_s)
         if self.latency is not None:
             commands = self.latency.delayed(commands)
-        for engine, command in zip(engines, commands.tolist(), strict=True):
+        for engine, command in zip(self.engines, commands.tolist(), strict=True):
             engine.set_command(command)
-        force = self._resistance(engines)
+        force = self._resistance(self.engines)
         if force is not None:
-            for engine, force_w in zip(engines, force.tolist(), strict=True):
+            for engine, force_w in zip(self.engines, force.tolist(), strict=True):
                 engine.apply_force(force_w)
 
-    def _resistance(self, engines: Engines) -> Array | None:
+    def _resistance(self, engines: Sequence[PhysicsRobot]) -> Array | None:
         """Resistance [N] of grass and soft ground, (N, 3), world frame; None if there are neither."""
         rolling = self.traction.update(engines, self.motion)
         grass = drag_forces(self._worlds, self.motion, self.robot, self.count)
@@ -158,10 +250,11 @@ class ArticulatedBody:
             return grass if rolling is None else rolling
         return rolling + grass
 
-    def read(self, engines: Engines) -> list[tuple[int, int]]:
+    def read(self) -> list[tuple[int, int]]:
         """Read the states after a physics step; returns contacts as pairs of row and body number."""
         reads_joints = self._reads_joints
         states, drives, contacts = [], [], []
+        engines = self.engines
         for row, engine in enumerate(engines):
             states.append(engine.body_state())
             if reads_joints:
@@ -222,15 +315,7 @@ class ArticulatedBody:
             acceleration_b=acceleration_b,
         )
 
-    # -- poses and joints -------------------------------------------------------------------------
-
     @property
     def poses(self) -> Array:
         """Poses (N, 4: x, y, z, yaw) [m, rad] of the origins."""
         return np.column_stack([self.motion.position_w, self.motion.yaw])
-
-    def joint_angles(self, row: int, engines: Engines) -> dict[str, float]:
-        """Angles [rad] of the motors' and the passive joints of a robot, by name."""
-        body = self.robot.body
-        names = [*body.drive_joints, *(joint.joint for joint in body.passive)]
-        return dict(zip(names, engines[row].joint_angles(names), strict=True))

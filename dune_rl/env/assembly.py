@@ -3,26 +3,30 @@
 from collections.abc import Sequence
 from functools import partial
 
+from dune_rl.behaviours.paths.follow_path import FollowPath
 from dune_rl.behaviours.paths.follower import PathConf, PathFollower
 from dune_rl.behaviours.trajectory import TrajectoryFollower
 from dune_rl.bodies.settings import BodySettings
 from dune_rl.env.agent_group import AgentGroup, GroupSetup
 from dune_rl.env.articulated import ArticulatedBody
-from dune_rl.env.goals import GoalTracker, PathGoals, RegionGoals, Spawners
+from dune_rl.env.body import Body
+from dune_rl.env.controllers import BehaviourController, Controller
 from dune_rl.env.kinematic import KinematicBody
+from dune_rl.env.presence import PresenceSchedule
 from dune_rl.env.room import has_room, needs_in_words
-from dune_rl.env.scene_manager import SceneBodies, SceneManager
+from dune_rl.env.scene_manager import SceneManager
 from dune_rl.env.sensing import sensor_context
+from dune_rl.env.starts.paths import PathStarts, TrajectoryStarts
+from dune_rl.env.starts.region import RegionStarts, Spawners, StartContext
+from dune_rl.env.starts.source import StartSource
 from dune_rl.env.state_builder import StateBuilder
-from dune_rl.env.visits import Visits
-from dune_rl.geometry.shared_per_scene import SharedPerScene
 from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.measuring_scan import MeasuringScan
 from dune_rl.sensors.suite import SensorSuite
+from dune_rl.tasks.registry import START_SOURCES
 from dune_rl.tasks.spawn import SpawnConf
 from dune_rl.tasks.spawned_body import SpawnedBody
-from dune_rl.worlds.world import World
 
 # A new touch of the same body counts as a new collision after this long without one.
 _COLLISION_GAP_S = 1.0
@@ -31,127 +35,150 @@ _ANY_DEPTH_M = 100.0
 
 def build_groups(setups: Sequence[GroupSetup], scenes: SceneManager) -> tuple[AgentGroup, ...]:
     """The groups of M scenes, without their sensors, which see each other's groups: see `add_sensors`."""
-    groups: list[AgentGroup] = []
-    robots: list[RegionGoals] = []
-    roaming: list[RegionGoals] = []
-    spawners = _SharedSpawners(scenes.worlds.worlds)
-    parking = 0
-    for setup in setups:
-        if not isinstance(setup.body, BodySettings):
-            group = _robot_group(setup, scenes, spawners, robots)
-        elif setup.paths is not None or setup.follows_trajectories:
-            group = _group_on_paths(setup, setup.body, scenes, parking, spawners)
-        else:
-            group = _roaming_group(setup, setup.body, scenes, parking, roaming)
+    bodies = [_body(setups, index, scenes) for index in range(len(setups))]
+    shared = _SharedParts(scenes)
+    spawners = [shared.spawners(*each) for each in zip(setups, bodies, strict=True)]
+    gap_steps = round(_COLLISION_GAP_S * scenes.conf.control_hz)
+    groups = []
+    for setup, body, own in zip(setups, bodies, spawners, strict=True):
+        starts, moves = shared.starts(setup, body, own)
+        rows = len(scenes.worlds) * setup.count
+        group = AgentGroup(setup, body, starts, own, rows, gap_steps, _presence(setup, scenes))
+        group.controller = moves
         groups.append(group)
-        parking += setup.count
-    # Other agents keep off robots, and robots take no notice of them.
-    roaming[:0] = robots
     return tuple(groups)
 
 
-class _SharedSpawners:
-    """One `Spawners` for all groups of equal footprint and spawn settings: each searches a whole world."""
-
-    def __init__(self, worlds: SharedPerScene[World]) -> None:
-        self._worlds = worlds
-        self._known: dict[tuple[SpawnConf, float], Spawners] = {}
-
-    def of(self, conf: SpawnConf, radius_m: float) -> Spawners:
-        """The spawners of footprints of `radius_m`."""
-        if (conf, radius_m) not in self._known:
-            self._known[conf, radius_m] = Spawners(conf, radius_m, self._worlds)
-        return self._known[conf, radius_m]
-
-
-def _gap_steps(scenes: SceneManager) -> int:
-    return round(_COLLISION_GAP_S * scenes.conf.control_hz)
-
-
-def _robot_group(
-    setup: GroupSetup,
-    scenes: SceneManager,
-    shared_spawners: _SharedSpawners,
-    robots: list[RegionGoals],
-) -> AgentGroup:
-    assert not isinstance(setup.body, BodySettings)
-    rows = len(scenes.worlds) * setup.count
-    robot = setup.body(rows)
-    spawn = SpawnConf() if setup.task is None else setup.task.spawn
-    body = ArticulatedBody(
-        robot,
+def _body(setups: Sequence[GroupSetup], index: int, scenes: SceneManager) -> Body:
+    """The bodies of a setup, numbered after those of the setups before."""
+    setup, before = setups[index], setups[:index]
+    is_kinematic = isinstance(setup.body, BodySettings)
+    first = sum(one.count for one in before if isinstance(one.body, BodySettings) is is_kinematic)
+    if isinstance(setup.body, BodySettings):
+        return KinematicBody(
+            setup.body,
+            scenes.worlds,
+            setup.count,
+            scenes.conf.control_step_s,
+            first=first,
+            first_place=sum(one.count for one in before),
+            is_prescribed=setup.is_scripted,
+        )
+    return ArticulatedBody(
+        setup.body(len(scenes.worlds) * setup.count),
         scenes.conf,
         scenes.worlds,
         setup.count,
+        first=first,
         has_latency=scenes.randomizer.randomizes_latency,
         measures_work=setup.metrics is not None and setup.metrics.energy,
     )
-    spawners = shared_spawners.of(spawn, robot.footprint_radius_m)
-    goals = RegionGoals(
-        spawn,
-        robot.footprint_radius_m,
-        spawners,
-        len(scenes.worlds),
-        setup.count,
-        lambda: body.motion.position_w,
-        robots,
-    )
-    return AgentGroup(setup, body, GoalTracker(goals, rows), spawners, rows, _gap_steps(scenes))
 
 
-def _group_on_paths(
-    setup: GroupSetup,
-    conf: BodySettings,
-    scenes: SceneManager,
-    first_place: int,
-    shared_spawners: _SharedSpawners,
-) -> AgentGroup:
-    body = KinematicBody(conf, scenes.worlds, setup.count, scenes.conf.control_step_s, first_place)
-    worlds = scenes.worlds.worlds
-    follower: PathFollower | TrajectoryFollower
-    if setup.follows_trajectories:
-        follower = TrajectoryFollower(setup.count, conf.speed_mps, worlds, setup.name, setup.trajectories)
-    else:
-        radius, paths = conf.keep_out_radius_m, setup.paths or PathConf()
-        deepest = conf.max_water_m if conf.flight is None else _ANY_DEPTH_M
-        where = setup.settings or f"actors.{setup.name}"
-        follower = PathFollower(paths, setup.count, radius, worlds, where, conf.speed_mps, deepest)
-    spawners = shared_spawners.of(SpawnConf(), conf.keep_out_radius_m)
-    rows = len(scenes.worlds) * setup.count
-    goals = GoalTracker(PathGoals(follower), rows)
-    return AgentGroup(setup, body, goals, spawners, rows, _gap_steps(scenes), _visits(setup, scenes))
-
-
-def _visits(setup: GroupSetup, scenes: SceneManager) -> Visits | None:
-    """The visits of agents that come and go; None for all others."""
+def _presence(setup: GroupSetup, scenes: SceneManager) -> PresenceSchedule | None:
+    """When agents that come and go do so; None for all others."""
     if setup.presence is None:
         return None
-    return Visits(setup.presence, setup.name, len(scenes.worlds), setup.count, scenes.conf.control_step_s)
+    step_s = scenes.conf.control_step_s
+    return PresenceSchedule(setup.presence, setup.name, len(scenes.worlds), setup.count, step_s)
 
 
-def _roaming_group(
-    setup: GroupSetup, conf: BodySettings, scenes: SceneManager, first_place: int, roaming: list[RegionGoals]
-) -> AgentGroup:
-    body = KinematicBody(conf, scenes.worlds, setup.count, scenes.conf.control_step_s, first_place)
-    spawn = SpawnConf() if setup.task is None else setup.task.spawn
-    radius, worlds = conf.keep_out_radius_m, scenes.worlds.worlds
-    body_in_words = SpawnedBody(conf.name, needs_in_words(conf), setup.settings)
-    spawners = Spawners(
-        spawn, radius, worlds, partial(has_room, conf), body_in_words, f"{setup.name} ({conf.name}): "
-    )
-    goals = RegionGoals(
-        spawn,
-        radius,
-        spawners,
-        len(scenes.worlds),
-        setup.count,
-        lambda: body.motion.position_w,
-        roaming,
-        setup.name,
-    )
-    rows = len(scenes.worlds) * setup.count
-    tracker = GoalTracker(goals, rows)
-    return AgentGroup(setup, body, tracker, spawners, rows, _gap_steps(scenes), _visits(setup, scenes))
+class _SharedParts:
+    """Builds what the groups share: spawners, each of which searches a whole world, and sources of starts.
+
+    Random streams are named by a robot's number among all robots, by an agent's name, or for paths by the
+    group's name, but for the first group on paths: a further group changes no draws of another.
+    """
+
+    def __init__(self, scenes: SceneManager) -> None:
+        self._worlds = scenes.worlds.worlds
+        self._spawners: dict[tuple[SpawnConf, float], Spawners] = {}
+        self._robot_spawners: Spawners | None = None
+        self._num_robots, self._num_on_paths = 0, 0
+        # Other agents keep off robots, and robots take no notice of them.
+        self._robots: list[RegionStarts] = []
+        self._all: list[RegionStarts] = []
+
+    def spawners(self, setup: GroupSetup, body: Body) -> Spawners:
+        """The spawners of a group. Robots and agents on paths share those of equal footprint and settings."""
+        spawn = SpawnConf() if setup.task is None else setup.task.spawn
+        conf = setup.body
+        if isinstance(conf, BodySettings) and not setup.is_on_path:
+            words = SpawnedBody(conf.name, needs_in_words(conf), setup.settings)
+            passable, whose = partial(has_room, conf), f"{setup.name} ({conf.name}): "
+            return Spawners(spawn, body.footprint_radius_m, self._worlds, passable, words, whose)
+        if setup.is_on_path:
+            spawn = SpawnConf()
+        key = spawn, body.footprint_radius_m
+        if key not in self._spawners:
+            self._spawners[key] = Spawners(*key, self._worlds)
+        if not isinstance(conf, BodySettings) and self._robot_spawners is None:
+            self._robot_spawners = self._spawners[key]
+        return self._spawners[key]
+
+    def starts(
+        self, setup: GroupSetup, body: Body, spawners: Spawners
+    ) -> tuple[StartSource, Controller | None]:
+        """The starts of a group, and the controller that moves it along paths, if it is moved so."""
+        if not isinstance(setup.body, BodySettings) or not setup.is_on_path:
+            return self._in_region(setup, body, spawners), None
+        return self._on_path(setup, setup.body, body, spawners)
+
+    def _in_region(self, setup: GroupSetup, body: Body, spawners: Spawners) -> RegionStarts:
+        spawn = SpawnConf() if setup.task is None else setup.task.spawn
+        is_robot = body.description.is_robot
+        names = tuple(f"{setup.name}_{agent}" for agent in range(setup.count))
+        streams = tuple(f"spawn {name}" for name in names)
+        if is_robot:
+            numbers = range(self._num_robots, self._num_robots + setup.count)
+            streams = tuple(f"spawn rover_{number}" if number else "spawn" for number in numbers)
+            self._num_robots += setup.count
+        context = StartContext(
+            name="" if is_robot else setup.name,
+            agents=names,
+            is_robot=is_robot,
+            worlds=self._worlds,
+            spawners=spawners,
+            position=lambda: body.motion.position_w,
+            streams=streams,
+            avoided=self._robots if is_robot else self._all,
+            spawn=spawn,
+        )
+        starts: RegionStarts = START_SOURCES.build(spawn, context)
+        if is_robot:
+            self._all.append(starts)
+        return starts
+
+    def _on_path(
+        self, setup: GroupSetup, conf: BodySettings, body: Body, spawners: Spawners
+    ) -> tuple[StartSource, Controller | None]:
+        radius_m, reach_m = body.description.radius_m, body.description.reach_m
+        # Of the first group the streams keep the names that they had before there were several.
+        suffix = f" {setup.name}" if self._num_on_paths else ""
+        self._num_on_paths += 1
+        if setup.follows_trajectories:
+            on_file = TrajectoryFollower(
+                setup.count, conf.speed_mps, self._worlds, setup.name, setup.trajectories
+            )
+            moves = BehaviourController(FollowPath(on_file))
+            return TrajectoryStarts(on_file, setup.name, radius_m, reach_m), moves
+        deepest = conf.max_water_m if conf.flight is None else _ANY_DEPTH_M
+        where = setup.settings or f"actors.{setup.name}"
+        paths = setup.paths or PathConf()
+        follower = PathFollower(
+            paths, setup.count, conf.keep_out_radius_m, self._worlds, where, conf.speed_mps, deepest
+        )
+        # Random paths lead through the free space of robots, where there are any.
+        through = self._robot_spawners or spawners
+        starts = PathStarts(
+            follower,
+            through,
+            setup.name,
+            (f"paths{suffix}", f"actors{suffix}"),
+            steers=not setup.is_scripted,
+            reach_m=reach_m,
+        )
+        return starts, BehaviourController(FollowPath(follower)) if setup.is_scripted else None
 
 
 def add_sensors(groups: Sequence[AgentGroup], builder: StateBuilder, scenes: SceneManager) -> None:
@@ -180,15 +207,3 @@ def _context(group: AgentGroup, neighbours: Sequence[MovingMesh], scenes: SceneM
         step_s=scenes.conf.control_step_s,
         worlds_differ=scenes.randomizer.randomizes_worlds,
     )
-
-
-def scene_bodies(groups: Sequence[AgentGroup]) -> SceneBodies:
-    """What the groups put into each scene's physics."""
-    robots, kinematics = [], []
-    for group in groups:
-        for name in group.names:
-            if isinstance(group.body, ArticulatedBody):
-                robots.append(group.body.robot.body)
-            elif isinstance(group.body, KinematicBody):
-                kinematics.append(group.body.conf.collision_shape(name))
-    return SceneBodies(tuple(robots), tuple(kinematics))

@@ -1,29 +1,47 @@
 """What the agents of a group are made of: the interface of their bodies."""
 
-from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
+from dune_rl.behaviours.drivers.context import Unicycle
 from dune_rl.env.proximity import Outline
-from dune_rl.geometry.arrays import Array, Flags
-from dune_rl.physics.interface import PhysicsRobot
+from dune_rl.env.randomised_properties import EpisodeVariation
+from dune_rl.geometry.arrays import Array, Counts, Flags
+from dune_rl.physics.interface import PhysicsScene
+from dune_rl.physics.robot_body import RobotBody
+from dune_rl.physics.shapes import KinematicShape
 from dune_rl.rendering.moving_mesh import MovingMesh
+from dune_rl.rendering.posed_mesh import PosedMesh
 from dune_rl.robots.robot import BodyMotion
 from dune_rl.state.body_description import BodyDescription
 from dune_rl.state.sensor_carrier import SensorCarrier
 from dune_rl.state.state import EnergyState, Motion
+from dune_rl.worlds.world import World
 
-Engines = Sequence[PhysicsRobot]
+
+@dataclass(frozen=True)
+class SceneBodies:
+    """Robots and kinematic bodies of each scene, both in the order of the groups."""
+
+    robots: tuple[RobotBody, ...] = ()
+    kinematics: tuple[KinematicShape, ...] = ()
+
+    def __add__(self, other: "SceneBodies") -> "SceneBodies":
+        return SceneBodies(self.robots + other.robots, self.kinematics + other.kinematics)
 
 
 class Body(Protocol):
     """The equal bodies of N agents, `count` in each scene, rows scene after scene.
 
     `motion` is their state after the last `read` or `read_start`, and `poses` (N, 4 or 6) begin with x, y, z
-    [m] and yaw [rad]. `engines` are the physics robots, one per row; none for bodies that physics does not
-    simulate.
+    [m] and yaw [rad]. `first` is the number of a scene's first body among those of its kind, robots or
+    kinematic bodies.
     """
 
     count: int
+    first: int
+    # Radius [m] of the room that a body needs where it starts.
+    footprint_radius_m: float
     motion: Motion
     # Whether the state of the joints is to be read too, for sensors or metrics.
     reads_joints: bool
@@ -54,6 +72,10 @@ class Body(Protocol):
         """Action (A,) at which the body stands still."""
         ...
 
+    def vehicle(self) -> Unicycle:
+        """The model of the body for behaviours that output a speed and a heading."""
+        ...
+
     def carrier(self) -> SensorCarrier:
         """The body as a carrier of sensors."""
         ...
@@ -62,18 +84,70 @@ class Body(Protocol):
         """What the sensors of others see."""
         ...
 
+    def pictures(self, row: int) -> list[PosedMesh]:
+        """What pictures show of a body now."""
+        ...
+
+    def joint_angles(self, row: int) -> dict[str, float]:
+        """Angles [rad] of the joints of a robot by name; empty for kinematic bodies."""
+        ...
+
+    def shapes(self, names: tuple[str, ...]) -> SceneBodies:
+        """The bodies of a scene in physics, one for each of the agents' `names`."""
+        ...
+
+    def outline_points(self, scene: int) -> Array:
+        """Points (P, 2) [m] from which starts on paths keep their distance."""
+        ...
+
+    # -- a new episode ----------------------------------------------------------------------------
+
     def reset(self, mask: Flags) -> None:
         """Clear the history of the bodies in `mask` (N,)."""
         ...
 
-    def read_start(self, mask: Flags, engines: Engines) -> None:
+    def bind(self, scene: int, physics: PhysicsScene) -> None:
+        """Take the bodies of a scene from its physics, which may have been built anew."""
+        ...
+
+    def turned_to_free_way(self, scene: int, poses: Array) -> Array:
+        """The start `poses` (G, 4) of a scene; bodies that cannot turn on the spot face a free way."""
+        ...
+
+    def place(self, scene: int, poses: Array) -> None:
+        """Put the bodies of a scene at `poses` (G, 4: x, y, z, yaw), at rest; `read_start` must follow."""
+        ...
+
+    def touch_ground(self, scene: int, world: World, variation: EpisodeVariation) -> None:
+        """Set contacts and latency of a scene's robots by the episode's `variation`, after `place`."""
+        ...
+
+    def read_start(self, mask: Flags) -> None:
         """Read the start states in `mask` (N,)."""
         ...
 
-    def command(self, actions: Array, known: BodyMotion, engines: Engines) -> None:
+    # -- a step -----------------------------------------------------------------------------------
+
+    def come(self, row: int, pose: Array) -> None:
+        """Put a parked body at a `pose` (4), at rest; `read_start` must follow."""
+        ...
+
+    def park(self, rows: Counts) -> None:
+        """Take the bodies in `rows` (K,) out of their scenes, until the next `place` or `come`."""
+        ...
+
+    def teleport(self, rows: Counts) -> None:
+        """Put the bodies in `rows` (K,) where they are now in physics as well, between control steps."""
+        ...
+
+    def command(self, actions: Array, known: BodyMotion) -> None:
         """Act for a control step by `actions` (N, A); `known` is the motion that the controllers measure."""
         ...
 
-    def read(self, engines: Engines) -> list[tuple[int, int]]:
+    def hold_back(self, scenes: Counts, poses: Array) -> None:
+        """Set the bodies of `scenes` (S,) to `poses` (S, G, 6), where robots blocked them."""
+        ...
+
+    def read(self) -> list[tuple[int, int]]:
         """Read the states after a physics step; returns contacts as pairs of row and body number."""
         ...

@@ -9,6 +9,7 @@ from dune_rl.behaviours.registry import Behaviour
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.sensors.sensor import Reading
 from dune_rl.state.state import GroupState, State
+from dune_rl.state.terms import check_written_state
 
 Observe = Callable[[], dict[str, Reading]]
 Policy = Callable[[dict[str, Reading]], Array]
@@ -38,7 +39,12 @@ class BehaviourController:
         self._behaviour.reset(mask, group)
 
     def act(self, state: State, group: GroupState, observe: Observe) -> Array:
-        return np.asarray(self._behaviour.act(state, group), np.float64)
+        try:
+            actions = self._behaviour.act(state, group)
+        except ValueError as error:
+            check_written_state(error, f"the behaviour {type(self._behaviour).__name__}")
+            raise
+        return np.asarray(actions, np.float64)
 
 
 class PolicyController:

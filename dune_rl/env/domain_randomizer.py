@@ -6,9 +6,9 @@ from functools import lru_cache
 from typing import Any
 
 from dune_rl.core.seeding import stream
-from dune_rl.env.episodes.plan import EpisodePlan
 from dune_rl.env.randomisation import RANDOMISATIONS, RandomisationConf
 from dune_rl.env.randomised_properties import EpisodeVariation
+from dune_rl.env.requests import EpisodePlan
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.worlds.world import World
 

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dune_rl.core.errors import ConfigError
-from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.metrics.episode import MetricsConf, MetricSet
 from dune_rl.state.state import GroupState, State
@@ -81,8 +80,7 @@ def add_metrics(group: "AgentGroup", conf: MetricsConf, state: State | None) -> 
     if group.task is None:
         raise ConfigError(f"{group.name} has no task, so it has no episodes to measure: give it one")
     found = group.measured.add(conf, None if state is None else state.groups[group.name])
-    if isinstance(group.body, ArticulatedBody):
-        group.body.reads_joints |= found.needs_joints
+    group.body.reads_joints |= found.needs_joints
     if found.needs_scan:
         group.start_scans()
     return found

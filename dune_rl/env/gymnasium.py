@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.core.errors import ConfigError
-from dune_rl.env.copying import CopiedByReplay, gymnasium_state
 from dune_rl.env.observation_layout import Observation
 from dune_rl.env.pettingzoo import ParallelDuneEnv
 from dune_rl.env.registration import RENDER_METADATA
-from dune_rl.env.render_mode import RenderMode
+from dune_rl.env.replay import CopiedByReplay, gymnasium_state
 from dune_rl.env.simulation import VectorSimulation
+from dune_rl.env.window import RenderMode
 
 
 class GymnasiumEnv(CopiedByReplay, gymnasium.Env):  # type: ignore[misc]

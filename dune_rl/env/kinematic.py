@@ -2,26 +2,32 @@
 dynamics.
 """
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from dune_rl.behaviours.drivers.context import Unicycle
+from dune_rl.bodies.motion import MOTION_MODELS, Step
+from dune_rl.bodies.motion_models import stopping_distance
 from dune_rl.bodies.settings import BodySettings
-from dune_rl.env.body import Engines
-from dune_rl.env.flight import Flight
-from dune_rl.env.motion_models import Step, advance, stopping_distance
+from dune_rl.env.body import SceneBodies
+from dune_rl.env.heights import AltitudeController, Stance, turning_rates
 from dune_rl.env.proximity import Outline
+from dune_rl.env.randomised_properties import EpisodeVariation
 from dune_rl.env.room import Room
-from dune_rl.env.standing import Stance, turning_rates
 from dune_rl.geometry.arrays import Array, Counts, Flags
 from dune_rl.geometry.compiled import compile_function
 from dune_rl.geometry.frames import rotation_from_angles
+from dune_rl.physics.interface import PhysicsScene
 from dune_rl.rendering.moving_mesh import MovingMesh
+from dune_rl.rendering.posed_mesh import PosedMesh
 from dune_rl.robots.robot import BodyMotion, rectangle_outline
 from dune_rl.state.body_description import BodyDescription
 from dune_rl.state.sensor_carrier import SensorCarrier
 from dune_rl.state.state import Motion
 from dune_rl.worlds.batched_worlds import BatchedWorlds
+from dune_rl.worlds.world import World
 
 Scenes = Counts
 
@@ -48,11 +54,24 @@ class KinematicBody:
     """
 
     def __init__(
-        self, conf: BodySettings, worlds: BatchedWorlds, count: int, step_s: float, first_place: int = 0
+        self,
+        conf: BodySettings,
+        worlds: BatchedWorlds,
+        count: int,
+        step_s: float,
+        *,
+        first: int = 0,
+        first_place: int = 0,
+        is_prescribed: bool = False,
     ) -> None:
-        """Parked bodies stand in the places from number `first_place` on, which no other group may use."""
-        self._first_place = first_place
+        """Parked bodies stand in the places from number `first_place` on, which no other group may use.
+
+        Actions are poses (N, 4: x, y, z, yaw) if the motion `is_prescribed`, whatever is in the way.
+        """
+        self.first, self._first_place, self._is_prescribed = first, first_place, is_prescribed
+        self._scenes: dict[int, PhysicsScene] = {}
         self.conf, self.count = conf, count
+        self.footprint_radius_m = conf.keep_out_radius_m
         self._worlds, self.step_s = worlds, step_s
         rows = len(worlds) * count
         self.poses = np.zeros((rows, POSE_SIZE))
@@ -61,9 +80,14 @@ class KinematicBody:
         self._nobody.flags.writeable = False
         self.parked = np.zeros(rows, bool)
         self.limits = conf.limits()
+        model = MOTION_MODELS.parse_motion(self.limits.model) if conf.motion is None else conf.motion
+        self._advance = MOTION_MODELS.bind(model)
+        # Bicycles drive back when they are stuck; a user's motion model does not.
+        self._backs_off = model.name == "bicycle"
+        self._goes_ahead = model.name in ("unicycle", "bicycle")
         self._room = Room(conf, worlds, count)
         self._stance = Stance(conf.supports_b, worlds, count)
-        self._flight = None if conf.flight is None else Flight(conf, conf.flight, worlds, count)
+        self._flight = None if conf.flight is None else AltitudeController(conf, conf.flight, worlds, count)
         # See `Step`; and how far each body is to drive backwards yet [m].
         self._velocity = np.zeros((rows, 2))
         self._backing_m = np.zeros(rows)
@@ -84,6 +108,7 @@ class KinematicBody:
             height_m=height,
             turning_radius_m=self.limits.turning_radius_m,
             rear_axle_m=self.limits.rear_m,
+            max_water_m=conf.max_water_m,
         )
         self.energy, self.reads_joints = None, False
 
@@ -107,6 +132,27 @@ class KinematicBody:
         """Action at which the body stands still, or hovers."""
         return np.zeros(2 if self._flight is None else 3)
 
+    def vehicle(self) -> Unicycle:
+        """The model of the body for behaviours that output a speed and a heading.
+
+        It turns to the commanded heading within the step, as far as its limits let it.
+        """
+        length, width, _ = self.conf.size_m
+        low, high = self.action_bounds()
+        top_mps, radius = float(np.float32(high[0])), self.limits.turning_radius_m
+        limit = self.limits.max_turn_radps
+        fastest = top_mps / radius if radius else np.pi / self.step_s if limit is None else limit
+        return Unicycle(
+            float(np.float32(low[0])),
+            top_mps,
+            fastest,
+            1.0 / self.step_s,
+            length,
+            width,
+            self.conf.keep_out_radius_m,
+            radius,
+        )
+
     def carrier(self) -> SensorCarrier:
         """The body as a carrier of sensors."""
         return self.conf.carrier()
@@ -115,10 +161,35 @@ class KinematicBody:
         """What the sensors of others see."""
         return self.conf.mesh()
 
+    @cached_property
+    def _mesh(self) -> MovingMesh:
+        return self.mesh()
+
+    def pictures(self, row: int) -> list[PosedMesh]:
+        """What pictures show of a body now."""
+        motion = self.motion
+        shape = self._mesh.frame(motion.frames[row])
+        return [PosedMesh(shape, motion.position_w[row].copy(), motion.rotation[row].copy())]
+
+    def joint_angles(self, row: int) -> dict[str, float]:
+        """None: the body has no joints."""
+        return {}
+
+    def shapes(self, names: tuple[str, ...]) -> SceneBodies:
+        """A shape that physics moves for each of the agents' `names`."""
+        return SceneBodies(kinematics=tuple(self.conf.collision_shape(name) for name in names))
+
     # -- a new episode ----------------------------------------------------------------------------
 
     def reset(self, mask: Flags) -> None:
         """Nothing is kept from one episode to the next but what `place` sets."""
+
+    def bind(self, scene: int, physics: PhysicsScene) -> None:
+        """Take the physics of a scene, which may have been built anew."""
+        self._scenes[scene] = physics
+
+    def touch_ground(self, scene: int, world: World, variation: EpisodeVariation) -> None:
+        """Nothing: the bodies have no contacts of their own."""
 
     def place(self, scene: int, poses: Array) -> None:
         """Put the bodies of a scene at `poses` (G, 4 or more), at rest; `read_start` must follow."""
@@ -163,7 +234,13 @@ class KinematicBody:
         self.parked[rows], self.blocked[rows] = True, False
         self._velocity[rows], self._backing_m[rows] = 0.0, 0.0
 
-    def read_start(self, mask: Flags, engines: Engines = ()) -> None:
+    def teleport(self, rows: Counts) -> None:
+        """Put the bodies in `rows` (K,) where they are now in physics as well, between control steps."""
+        for row in rows.tolist():
+            scene, agent = divmod(row, self.count)
+            self._scenes[scene].move_kinematic(self.first + agent, self.poses[row])
+
+    def read_start(self, mask: Flags) -> None:
         """Set the motion in the rows in `mask` (N,) to rest."""
         before = self.motion
         velocity, turning, acceleration = (
@@ -190,15 +267,19 @@ class KinematicBody:
         reached = self._standing(poses) if poses.shape[1] < POSE_SIZE else poses
         self.poses = np.where(self.parked[:, None], self.poses, reached) if self.parked.any() else reached
 
-    def command(self, actions: Array, known: BodyMotion, engines: Engines = ()) -> None:
+    def command(self, actions: Array, known: BodyMotion) -> None:
         """Move for a control step by `actions` (N, 2): speed [m/s] and relative heading [rad].
 
         The speed is clipped to the body's, and it turns as far as it can in a step. Flying bodies may have
         a third number, their rate of climb [m/s]; without it they keep their height above the ground. A
         body in front of what it cannot pass stops or, if it can, turns in place; one that a robot has
         pushed into an obstacle may move where it is less deep in it. Vehicles drive back a little when they
-        are stuck. It needs no measured motion (`known`) and no `engines`.
+        are stuck. It needs no measured motion (`known`). Where the motion is prescribed, `actions` are poses
+        (N, 4).
         """
+        if self._is_prescribed:
+            self.move_to(actions)
+            return
         poses = self.poses.copy()
         step, free, stopped = self._next(poses, actions)
         poses[:, :2] = np.where(free[:, None], step.xy, poses[:, :2])
@@ -213,7 +294,7 @@ class KinematicBody:
         if self.parked.any():
             self.blocked &= ~self.parked
             self._velocity = np.where(self.parked[:, None], 0.0, self._velocity)
-        if self.limits.model == "bicycle":
+        if self._backs_off:
             self._back_off(actions, step)
 
     def _next(self, poses: Array, actions: Array) -> tuple[Step, Flags, Flags]:
@@ -222,8 +303,9 @@ class KinematicBody:
         Sets the heights of flying bodies in `poses` (N, 6).
         """
         limits, step_s = self.limits, self.step_s
-        backing = self._backing_m > 0.0
-        step = advance(limits, poses, self._velocity, actions, backing, step_s)
+        if self._backs_off:
+            actions = self._with_backing(actions)
+        step = self._advance(limits, poses, self._velocity, actions, step_s)
         stopped = self._nobody
         if limits.braking_mps2 is not None:
             way = self._way_ahead(step)
@@ -232,7 +314,7 @@ class KinematicBody:
                 clear &= self._flight.can_pass(poses, step.xy + way)
             if not clear.all():
                 braking = np.where(clear[:, None], actions, _braked(actions))
-                step = advance(limits, poses, self._velocity, braking, backing, step_s)
+                step = self._advance(limits, poses, self._velocity, braking, step_s)
                 stopped = ~clear & (np.abs(step.velocity).max(axis=1) < 1e-6)
         free = self._room.is_free(step.xy, step.yaw, poses, self.parked)
         if self._flight is not None:
@@ -243,11 +325,20 @@ class KinematicBody:
         """From the end of a step to where bodies come to rest, (N, 2) [m], and the gap that they keep."""
         speed = np.hypot(step.velocity[:, 0], step.velocity[:, 1])
         reach = stopping_distance(self.limits, speed, self.step_s) + _GAP_M
-        if self.limits.model in ("unicycle", "bicycle"):
+        if self._goes_ahead:
             signed = np.where(step.velocity[:, 0] < 0.0, -reach, reach)
             return signed[:, None] * np.stack([np.cos(step.yaw), np.sin(step.yaw)], axis=-1)
         way: Array = step.velocity * (reach / np.maximum(speed, 1e-9))[:, None]
         return way
+
+    def _with_backing(self, actions: Array) -> Array:
+        """The actions, with full speed backwards for bodies that drive back to get free."""
+        backing = (self._backing_m > 0.0) & (actions[:, 0] > 0.0)
+        if not backing.any():
+            return actions
+        found = actions.copy()
+        found[backing, 0] = -self.limits.max_reverse_mps
+        return found
 
     def _back_off(self, actions: Array, step: Step) -> None:
         """Start to drive backwards where a vehicle cannot go on, and stop it where that is done."""
@@ -275,7 +366,7 @@ class KinematicBody:
         self._velocity = np.where(held.reshape(-1, 1), 0.0, self._velocity)
         self.poses = reached
 
-    def read(self, engines: Engines = ()) -> list[tuple[int, int]]:
+    def read(self) -> list[tuple[int, int]]:
         """Derive the motion at the end of a control step: its mean velocities, and their change.
 
         Returns no contacts: these bodies have those that robots have with them.

@@ -13,15 +13,14 @@ from dune_rl.core.errors import ConfigError
 from dune_rl.core.seeding import stream
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.arguments import agent_action, check_whole
-from dune_rl.env.copying import CopiedByReplay
-from dune_rl.env.episodes.infos import EpisodeInfos
-from dune_rl.env.episodes.request import parse_options
+from dune_rl.env.infos import EpisodeInfos
 from dune_rl.env.observation_layout import Observation, ObservationLayout, box
 from dune_rl.env.pictures import Pictures
 from dune_rl.env.registration import RENDER_MODES
-from dune_rl.env.render_mode import RenderMode, check_render_mode
+from dune_rl.env.replay import CopiedByReplay
+from dune_rl.env.requests import parse_options
 from dune_rl.env.simulation import SimulationStep, VectorSimulation
-from dune_rl.env.window import Window
+from dune_rl.env.window import RenderMode, Window, check_render_mode
 from dune_rl.geometry.arrays import Floats
 
 # Numbers of each agent in the state.
@@ -144,7 +143,7 @@ class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
         """The agents that act in the next step."""
         found: list[str] = []
         for group in self.simulation.external:
-            ended = group.done.tolist() if group.visits is not None else [False] * group.count
+            ended = group.done.tolist() if group.presence is not None else [False] * group.count
             found += [name for name, has_ended in zip(group.names, ended, strict=True) if not has_ended]
         return found
 
@@ -172,7 +171,7 @@ class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
                     continue
                 rewards[name] = float(step.reward[row])
                 # The ends of agents that stay are reported in the same step.
-                is_told = over or group.visits is not None
+                is_told = over or group.presence is not None
                 terminations[name] = is_told and bool(step.terminated[row])
                 truncations[name] = is_told and not terminations[name] and bool(over or step.truncated[row])
         return rewards, terminations, truncations

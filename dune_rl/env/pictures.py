@@ -8,17 +8,13 @@ import trimesh
 from numpy.typing import NDArray
 
 from dune_rl.env.agent_group import AgentGroup
-from dune_rl.env.articulated import ArticulatedBody
-from dune_rl.env.kinematic import KinematicBody
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.shared_per_scene import DerivedCache
 from dune_rl.rendering.light import srgb_to_linear
-from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.rendering.posed_mesh import PosedMesh, RayMesh
 from dune_rl.rendering.renderer import Renderer, Viewpoint
 from dune_rl.rendering.scenery import ColouredMesh, Segment, join_meshes
-from dune_rl.robots.visual import RobotVisual
 from dune_rl.worlds.appearance import bake_in_weather
 from dune_rl.worlds.batched_worlds import WorldAppearance
 from dune_rl.worlds.world import Rectangle, World
@@ -60,22 +56,6 @@ class Pictures:
         return self._simulation.worlds.appearances.map(_painter)
 
     @cached_property
-    def _robots(self) -> dict[str, RobotVisual]:
-        """The looks of the robots of each group that has any."""
-        bodies = {group.name: group.body for group in self._simulation.groups}
-        return {
-            name: RobotVisual(body.robot.body.look or body.robot.body.urdf)
-            for name, body in bodies.items()
-            if isinstance(body, ArticulatedBody)
-        }
-
-    @cached_property
-    def _meshes(self) -> dict[str, MovingMesh]:
-        """The meshes of the kinematic groups."""
-        bodies = {group.name: group.body for group in self._simulation.groups}
-        return {name: body.conf.mesh() for name, body in bodies.items() if isinstance(body, KinematicBody)}
-
-    @cached_property
     def _flag(self) -> RayMesh:
         return RayMesh(_goal_flag())
 
@@ -84,25 +64,15 @@ class Pictures:
         found: list[PosedMesh] = []
         for group in self._simulation.groups:
             for row in self._rows(scene, group):
-                found += self._agent(group, row)
+                found += group.body.pictures(row)
         for group in self._simulation.groups:
-            if group.task is not None and isinstance(group.body, ArticulatedBody):
-                found += [
-                    self._flag_at(scene, group.goals.source.goals_w[row]) for row in self._rows(scene, group)
-                ]
+            if group.task is not None and group.description.is_robot:
+                found += [self._flag_at(scene, group.starts.goals_w[row]) for row in self._rows(scene, group)]
         return found
 
     def _rows(self, scene: int, group: AgentGroup) -> list[int]:
         """Rows of the agents that are in a scene."""
         return [scene * group.count + agent for agent in group.agents_of(scene)]
-
-    def _agent(self, group: AgentGroup, row: int) -> list[PosedMesh]:
-        motion = group.body.motion
-        if group.name in self._robots:
-            angles = self._simulation.joint_angles(group.name, row)
-            return self._robots[group.name].posed_meshes(motion.position_w[row], motion.rotation[row], angles)
-        shape = self._meshes[group.name].frame(motion.frames[row])
-        return [PosedMesh(shape, motion.position_w[row].copy(), motion.rotation[row].copy())]
 
     def _flag_at(self, scene: int, goal: Array) -> PosedMesh:
         return PosedMesh(self._flag, np.array([*goal, self._ground(scene, goal)]), np.eye(3))

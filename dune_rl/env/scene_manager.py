@@ -1,19 +1,17 @@
 """Manages the world, weather and physics of each scene of a simulation over its episodes."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any, Protocol
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from dune_rl.core.errors import WorldError
+from dune_rl.env.body import SceneBodies
 from dune_rl.env.domain_randomizer import DomainRandomizer, Values
 from dune_rl.env.scene_spec import scene_spec
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.physics.interface import PhysicsConf, PhysicsRobot, PhysicsScene, SceneSpec, step_scene
-from dune_rl.physics.robot_body import RobotBody
-from dune_rl.physics.shapes import KinematicShape
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.world import World
@@ -23,14 +21,6 @@ _MAX_DRAWS = 8
 _SETTLE_S = 0.1
 
 MakeScene = Callable[[SceneSpec], PhysicsScene]
-
-
-@dataclass(frozen=True)
-class SceneBodies:
-    """Robots and kinematic bodies of each scene, both in the order of the groups."""
-
-    robots: tuple[RobotBody, ...]
-    kinematics: tuple[KinematicShape, ...]
 
 
 class RoomCheck(Protocol):
@@ -66,7 +56,7 @@ class SceneManager:
         self.most_bodies = 0
         self._world = world
         self._make_scene, self._measures_work = make_scene, measures_work
-        self._bodies = SceneBodies((), ())
+        self._bodies = SceneBodies()
         self._confs: list[Any] = [None] * num_scenes
         self._rejected: dict[Any, str] = {}
         self._physics: list[PhysicsScene | None] = [None] * num_scenes
@@ -109,7 +99,7 @@ class SceneManager:
             self.worlds.put(scene, self._world, self.randomizer.variation(values).weather)
         self.values[scene] = values
         if self.randomizer.randomizes_bodies:
-            for robot in self._scene(scene).robots:
+            for robot in self.physics(scene).robots:
                 robot.set_body(self.randomizer.variation(values).body)
         return self.worlds.worlds[scene]
 
@@ -152,16 +142,12 @@ class SceneManager:
     def reset(self, scene: int, kinematic_poses: Array) -> None:
         """Reset a scene: robots to their start poses, kinematic bodies to `kinematic_poses` (K, 6)."""
         self._kinematic_poses[scene] = kinematic_poses
-        self._scene(scene).reset(kinematic_poses)
+        self.physics(scene).reset(kinematic_poses)
 
     def settle(self, scene: int) -> None:
         """Simulate until the robots of a scene have settled on the ground, under their rest commands."""
         count = round(_SETTLE_S * self.conf.physics_hz)
-        step_scene(self._scene(scene), count, self._kinematic_poses[scene])
-
-    def move_kinematic(self, scene: int, index: int, pose: Array) -> None:
-        """Put a kinematic body of a scene at a pose (6), between control steps."""
-        self._scene(scene).move_kinematic(index, pose)
+        step_scene(self.physics(scene), count, self._kinematic_poses[scene])
 
     # -- a step -----------------------------------------------------------------------------------
 
@@ -187,26 +173,23 @@ class SceneManager:
     def step_passive(self) -> None:
         """Advance physics by a control step, with the last commands and without moving kinematic bodies."""
         for scene in range(len(self.worlds)):
-            self._scene(scene).step_passive(self.conf.substeps)
+            self.physics(scene).step_passive(self.conf.substeps)
 
     def robots(self, scene: int) -> Sequence[PhysicsRobot]:
         """The robots of a scene, whose physics must have been built."""
-        return self._scene(scene).robots
+        return self.physics(scene).robots
 
     @property
     def built(self) -> list[PhysicsScene]:
         """The physics of all scenes that have been built, in order."""
         return [scene for scene in self._physics if scene is not None]
 
-    def is_built(self, scene: int) -> bool:
-        """Whether the physics of a scene has been built; see `SceneManager`."""
-        return self._physics[scene] is not None
-
     def count_statics(self, scene: int) -> int:
         """Number of static bodies of a scene, whose physics must have been built."""
         return len(self._specs[self.worlds.worlds[scene]].statics)
 
-    def _scene(self, scene: int) -> PhysicsScene:
+    def physics(self, scene: int) -> PhysicsScene:
+        """The physics of a scene, which must have been built."""
         physics = self._physics[scene]
         assert physics is not None, "a scene has physics once it has entered a world"
         return physics

@@ -7,26 +7,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.env.action_log import ActionLog
 from dune_rl.env.agent_group import AgentGroup, GroupSetup, GroupStep
 from dune_rl.env.arguments import check_whole, group_actions
-from dune_rl.env.articulated import ArticulatedBody
-from dune_rl.env.assembly import add_sensors, build_groups, scene_bodies
+from dune_rl.env.assembly import add_sensors, build_groups
+from dune_rl.env.body import SceneBodies
 from dune_rl.env.domain_randomizer import DomainRandomizer
-from dune_rl.env.episodes.plan import EpisodePlan
-from dune_rl.env.episodes.request import EpisodeRequest, plain_request, request_from_plain
-from dune_rl.env.episodes.start import EpisodeStart
 from dune_rl.env.group_metrics import add_metrics
-from dune_rl.env.restore import RestoreError, check_arrival, state_digest
+from dune_rl.env.replay import ActionLog, RestoreError, check_arrival, state_digest
+from dune_rl.env.requests import EpisodePlan, EpisodeRequest, plain_request, request_from_plain
 from dune_rl.env.scene_manager import MakeScene, SceneManager, scene_rows
+from dune_rl.env.starts.episode_start import EpisodeStarter, kinematic_poses
+from dune_rl.env.starts.placement import admit_arrivals
 from dune_rl.env.state_builder import StateBuilder
-from dune_rl.env.turnover import Turnover
 from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.metrics.episode import MetricsConf, MetricSet
-from dune_rl.physics.interface import PhysicsConf, PhysicsRobot
+from dune_rl.physics.interface import PhysicsConf
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.sensors.sensor import Reading
-from dune_rl.state.state import State
+from dune_rl.state.state import GroupState, State
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.world import World
 
@@ -82,19 +80,15 @@ class VectorSimulation:
         )
         self.groups = build_groups(groups, self.scenes)
         self.external = tuple(group for group in self.groups if group.is_external)
-        self._starter = EpisodeStart(self.groups, self.scenes)
-        self._turnover = Turnover(self.groups, self.scenes)
+        self._starter = EpisodeStarter(self.groups, self.scenes)
         self._builder = StateBuilder(self.groups, self.scenes.worlds, physics.control_step_s)
         add_sensors(self.groups, self._builder, self.scenes)
-        self.scenes.build(scene_bodies(self.groups))
-        self._starter.check_room(seed, world)
-        worlds_differ = self.randomizer.randomizes_worlds
-        self._starter.check_places(world, only_edge=worlds_differ)
-        if plan is None and not worlds_differ:
-            self._starter.check_counts(seed, world)
+        self.scenes.build(sum((group.body.shapes(group.names) for group in self.groups), SceneBodies()))
+        self._starter.check(seed, world, sets_starts=plan is not None)
         self._first_world = world
-        self._engines: dict[str, list[PhysicsRobot]] = {}
         self._ending = [group for group in self.groups if group.ends_episodes]
+        self._kinematic = [group for group in self.groups if not group.description.is_robot]
+        self._visiting = [group for group in self.groups if group.presence is not None]
         self._nobody = self.resting = np.zeros(num_scenes, bool)
         self.steps = np.zeros(num_scenes, np.int64)
         self._ends = np.cumsum([group.count * group.action_size for group in self.external]).tolist()
@@ -134,7 +128,7 @@ class VectorSimulation:
         """Let the next `reset`, which must be of all scenes, start at episode `first_episode` of `seed`."""
         check_whole("seed", seed, at_least=0)
         if seed != self.seed:
-            self._starter.replan_paths(seed, self._first_world)
+            self._starter.replan(seed, self._first_world)
         self.seed = seed
         self.episodes = first_episode + np.arange(self.num_scenes) - self.num_scenes
 
@@ -170,12 +164,9 @@ class VectorSimulation:
         for scene in np.flatnonzero(mask).tolist():
             episode = int(self.episodes[scene])
             self._starter.start(scene, self.seed, episode, self._request(scene, episode))
-        self._engines = self._starter.engines()
         self.randomizer.prepare(self.seed, (self.episodes[mask] + self.num_scenes).tolist())
         for group in self.groups:
-            group.read_start(
-                scene_rows(mask, group.count), self._engines[group.name], self.scenes.most_bodies
-            )
+            group.read_start(scene_rows(mask, group.count), self.scenes.most_bodies)
         self._builder.begin_episodes(self.episodes)
         self.state = state = self._builder.start(mask, self.seed, self.steps)
         for group in self.groups:
@@ -210,31 +201,41 @@ class VectorSimulation:
         self.check_begun()
         commands = {group.name: self._rows(group, actions) for group in self.external}
         self._log.add(self.steps, [commands[group.name] for group in self.external])
-        before = self.state
-        self._turnover.remove()
+        for group in self._visiting:
+            group.leave()
         for group in self.groups:
-            group.act(commands.get(group.name), before, self._engines[group.name])
-        self._starter.hold_back(self.scenes.step(self._starter.kinematic_poses(), self.resting))
+            group.command(commands.get(group.name), self.state)
+        self._advance_physics()
         self.steps = self.steps + 1
-        contacts = {group.name: group.read(self._engines[group.name]) for group in self.groups}
-        arrived = self._turnover.admit(self.seed, self.episodes, self.steps)
+        contacts = {group.name: group.body.read() for group in self.groups}
+        if self._visiting:
+            admit_arrivals(self.groups, self.seed, self.episodes, self.steps)
         state = self._builder.build(self.seed, self.steps, contacts, self.scenes.count_statics)
         evaluated = {group.name: group.evaluate(state) for group in self.groups}
-        renewed = {name: evaluation.state for name, evaluation in evaluated.items()}
-        if self._turnover:
-            renewed |= self._turnover.exchange(arrived, self.steps, renewed)
         terminated, truncated = self._scene_ends(state)
-        self.state = state = replace(state, groups=renewed)
+        self.state = state = self._next_state(state, evaluated)
         for group in self.groups:
             group.sense(state)
-        self._turnover.begin(arrived, state)
         steps = {
-            group.name: GroupStep(
-                evaluated[group.name].reward, group.terminated.copy(), group.truncated.copy()
-            )
+            group.name: GroupStep(evaluated[group.name][0], group.terminated.copy(), group.truncated.copy())
             for group in self.external
         }
         return SimulationStep(steps, terminated, truncated)
+
+    def _advance_physics(self) -> None:
+        """Advance all scenes, and set kinematic bodies to where robots blocked them."""
+        held_back = self.scenes.step(kinematic_poses(self._kinematic, self.num_scenes), self.resting)
+        if held_back:
+            scenes, poses = np.array(list(held_back)), np.array(list(held_back.values()))
+            for group in self._kinematic:
+                first = group.body.first
+                group.hold_back(scenes, poses[:, first : first + group.count])
+
+    def _next_state(self, state: State, evaluated: Mapping[str, tuple[Floats, GroupState]]) -> State:
+        """The state with which the next step begins: another where goals are renewed or agents have come."""
+        groups = {name: group for name, (_, group) in evaluated.items()}
+        is_same = all(group is state.groups[name] for name, group in groups.items())
+        return state if is_same else replace(state, groups=groups)
 
     def _rows(self, group: AgentGroup, actions: Mapping[str, NDArray[np.floating]]) -> Array:
         """A group's actions, (N, A)."""
@@ -248,15 +249,15 @@ class VectorSimulation:
         over, terminated = self._nobody, self._nobody
         for index, group in enumerate(self._ending):
             # Those who have left, or may come yet, do not keep others from an end.
-            absent = False if group.visits is None else group.visits.absent
+            absent = False if group.presence is None else group.presence.absent
             done, own = self._all(group, group.done), self._all(group, group.terminated | absent)
             over, terminated = (over & done, terminated & own) if index else (done, own)
-        visits = [group.visits for group in self._ending if group.visits is not None]
-        if visits and len(visits) == len(self._ending):
+        presences = [group.presence for group in self._ending if group.presence is not None]
+        if presences and len(presences) == len(self._ending):
             # Before any of them has come, nothing can have ended.
-            came = np.concatenate([each.came.reshape(self.num_scenes, -1) for each in visits], axis=1)
+            came = np.concatenate([each.came.reshape(self.num_scenes, -1) for each in presences], axis=1)
             over = over & came.any(axis=1)
-        if self._turnover.ends_episodes:
+        if any(group.is_external for group in self._visiting):
             left = [self._all(group, group.done) for group in self.external]
             over = over | np.logical_and.reduce(left)
         for group in self.groups:
@@ -311,8 +312,7 @@ class VectorSimulation:
 
     def joint_angles(self, group: str, row: int) -> dict[str, float]:
         """Joint angles [rad] by name of a group's robot in `row`; empty for a kinematic body."""
-        body = self.group(group).body
-        return body.joint_angles(row, self._engines[group]) if isinstance(body, ArticulatedBody) else {}
+        return self.group(group).body.joint_angles(row)
 
     def save_state(self) -> dict[str, Any]:
         """Plain data from which `restore` rebuilds the state: each episode's id and actions so far."""

@@ -8,8 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.env.agent_group import AgentGroup
-from dune_rl.env.articulated import ArticulatedBody
-from dune_rl.env.kinematic import KinematicBody
 from dune_rl.env.proximity import GroupLayout, Proximity
 from dune_rl.env.scene_manager import scene_rows
 from dune_rl.geometry.arrays import Counts, Flags
@@ -33,8 +31,8 @@ class StateBuilder:
 
     def __init__(self, groups: Sequence[AgentGroup], worlds: BatchedWorlds, step_s: float) -> None:
         self._groups, self._worlds, self._step_s = groups, worlds, step_s
-        kinematic = [group for group in groups if isinstance(group.body, KinematicBody)]
-        robots = [group for group in groups if isinstance(group.body, ArticulatedBody)]
+        kinematic = [group for group in groups if not group.description.is_robot]
+        robots = [group for group in groups if group.description.is_robot]
         # Groups in the order of body numbers, and the first number of each after the static bodies.
         self._movers = [*kinematic, *robots]
         firsts = np.cumsum([0, *(group.count for group in self._movers)]).tolist()
@@ -90,7 +88,7 @@ class StateBuilder:
         found = []
         for group, row_steps in zip(self._groups, rows, strict=True):
             pairs = contacts.get(group.name, [])
-            if has_contacts and isinstance(group.body, KinematicBody):
+            if has_contacts and not group.description.is_robot:
                 pairs = self._contacts_of_kinematic(group, contacts, count_statics)
             kind_of = partial(self._kind_of, group, count_statics)
             found.append(group.collisions.update(pairs, row_steps, kind_of))
@@ -145,7 +143,7 @@ class StateBuilder:
                 done=group.done.copy(),
                 proximity=proximity,
                 absent=group.absent,
-                energy=group.energy,
+                energy=group.body.energy,
                 scanner=group.scanner,
                 endings=MappingProxyType(endings[index]),
             )

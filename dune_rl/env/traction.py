@@ -12,9 +12,12 @@ from numpy.typing import NDArray
 from dune_rl.core.constants import GRAVITY_MPS2
 from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.frames import rotation_matrices
+from dune_rl.geometry.shared_per_scene import Rows, agent_rows
 from dune_rl.physics.interface import PhysicsConf, PhysicsRobot
 from dune_rl.robots.robot import Robot
 from dune_rl.state.state import Motion
+from dune_rl.worlds.batched_worlds import BatchedWorlds
+from dune_rl.worlds.grass import Grass
 from dune_rl.worlds.surface_map import SurfaceMap
 from dune_rl.worlds.surfaces import Surface, WheelLoad, contact_table
 from dune_rl.worlds.world import World
@@ -190,3 +193,31 @@ def _wheel_speeds(motion: Motion, driven: int) -> Array | None:
 @lru_cache(maxsize=64)
 def _table(surfaces: tuple[Surface, ...], wheel: WheelLoad, sinkage: bool) -> tuple[Array, Array]:
     return contact_table(surfaces, wheel, sinkage=sinkage, gravity_mps2=GRAVITY_MPS2)
+
+
+_ALL = slice(None)
+
+
+def drag_forces(sites: BatchedWorlds, motion: Motion, robot: Robot, count: int = 1) -> Array | None:
+    """Force [N] of the grass on each robot, (M * `count`, 3), world frame; None where no grass grows."""
+    groups = sites.worlds.groups
+    if all(world.grass is None for world, _ in groups):
+        return None
+    force = np.zeros_like(motion.velocity_w)
+    for world, rows in groups:
+        if world.grass is not None:
+            rows = agent_rows(rows, count)
+            force[rows] = grass_force(world.grass, motion, robot, rows)
+    return force
+
+
+def grass_force(grass: Grass, motion: Motion, robot: Robot, rows: Rows = _ALL) -> Array:
+    """Force [N] on each robot of `rows`, world frame: against its velocity, and proportional to it.
+
+    It is also proportional to the density of the grass at the robot's centre and
+    to the share of the robot's height in the grass. It acts for one control
+    step, which is too short to reverse the velocity.
+    """
+    bottom = motion.position_w[rows] - robot.standing_height_m * motion.rotation[rows, :, 2]
+    force: Array = -grass.drag(bottom, robot.height_m)[:, None] * motion.velocity_w[rows]
+    return force

@@ -13,7 +13,6 @@ from torchrl.envs import EnvBase
 from dune_rl.behaviours.registry import BEHAVIOURS
 from dune_rl.core.errors import ConfigError
 from dune_rl.env.agent_group import AgentGroup
-from dune_rl.env.driver_context import bind_to_group
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.learning.group_policy import Policy
 from dune_rl.learning.policy_spec import PolicySpec
@@ -160,7 +159,7 @@ class DriverPolicy:
         settings = {"name": name, "seed": seed} if name == "mppi" else {"name": name}
         self._behaviour = BEHAVIOURS.build(BEHAVIOURS.parse_settings(settings), group.num_rows)
         self._simulation, self._group = simulation, group
-        bind_to_group(self._behaviour, name, group)
+        group.bind(self._behaviour, name)
 
     def __call__(self, observation: TensorDictBase) -> TensorDictBase:
         group = self._group

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -10,7 +11,9 @@ import trimesh
 from defusedxml.ElementTree import parse
 
 from dune_rl.geometry.arrays import Array
+from dune_rl.physics.robot_body import RobotBody
 from dune_rl.rendering.light import srgb_to_linear
+from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.rendering.posed_mesh import PosedMesh, RayMesh
 from dune_rl.rendering.scenery import ColouredMesh, Segment, join_meshes
 from dune_rl.robots.urdf.meshes import UrdfMeshes
@@ -162,3 +165,20 @@ def _primitive(element: Element) -> trimesh.Trimesh:
     if element.tag == "sphere":
         return trimesh.creation.icosphere(subdivisions=3, radius=float(element.get("radius", 0.5)))
     raise ValueError(f"a visual <{element.tag}> cannot be drawn; use box, cylinder, sphere or mesh")
+
+
+@lru_cache(maxsize=8)
+def robot_mesh(body: RobotBody) -> MovingMesh:
+    """Mesh of a robot with its joints at zero, in the base link's frame; cached by robot description."""
+    parts = RobotVisual(body.look or body.urdf).posed_meshes(np.zeros(3), np.eye(3))
+    shapes = [
+        ColouredMesh(
+            part.shape.vertices @ part.rotation.T + part.position,
+            part.shape.faces,
+            part.shape.albedo,
+            part.shape.segments,
+            part.shape.texture,
+        )
+        for part in parts
+    ]
+    return MovingMesh(join_meshes(shapes), Segment.ROBOT)

@@ -1,10 +1,13 @@
-"""The registries of reward and termination terms, and the settings that every term has."""
+"""The registries of reward and termination terms, and of sources of starts and goals."""
 
-from typing import Annotated
+from collections.abc import Mapping
+from typing import Annotated, Any, Protocol
 
 from pydantic import BeforeValidator, SerializeAsAny
 
+from dune_rl.core.registry import Registry
 from dune_rl.state.terms import TermConf, TermRegistry
+from dune_rl.tasks.spawn import Placement, SpawnConf
 
 _OWN_REWARDS = (
     "collision",
@@ -68,6 +71,41 @@ TERMINATIONS = TermRegistry(
     own={name: f"dune_rl.tasks.terminations:{target}" for name, target in _OWN_TERMINATIONS.items()},
     base=TerminationTermConf,
 )
+
+
+class StartSampler(Protocol):
+    """Draws the starts and goals of agents: see `RegionStarts`, from which sources are derived."""
+
+    def draw_start(self, *arguments: Any) -> Placement:
+        """A start and a goal."""
+        ...
+
+    def draw_goal(self, *arguments: Any) -> tuple[float, float]:
+        """A new goal (x, y) [m]."""
+        ...
+
+
+START_SOURCES: Registry[Any] = Registry(
+    "start source",
+    "dune_rl.tasks.registry:START_SOURCES",
+    own={"region": "dune_rl.env.starts.region:RegionStarts"},
+    base=SpawnConf,
+    product=StartSampler,
+    form="a class derived from dune_rl.env.starts.region.RegionStarts, made with (context)",
+    function_leading=None,
+    class_leading=("context",),
+    tag="source",
+)
+
+
+def _parse_spawn(value: Any) -> Any:
+    """Settings of starts and goals from a mapping; without `source`, agents start and go in a region."""
+    return START_SOURCES.parse_settings(
+        {"source": "region", **value} if isinstance(value, Mapping) else value
+    )
+
+
+Spawn = Annotated[SerializeAsAny[SpawnConf], BeforeValidator(_parse_spawn)]
 
 # Terms by name; an entry without `term` is the term that is registered by its name.
 RewardTerms = Annotated[

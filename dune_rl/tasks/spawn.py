@@ -19,12 +19,13 @@ _GOAL_TRIES = 16
 
 
 class SpawnConf(Settings):
-    """Settings of `Spawner`.
+    """Settings of starts and goals: `source` is the registered source, and what follows is for its `Spawner`.
 
     `region` is "world" for the world's own rectangle, "anywhere" for all of the
     world, or a rectangle (xmin, xmax, ymin, ymax) [m].
     """
 
+    source: str = "region"
     region: Literal["world", "anywhere"] | Rectangle = "world"
     max_slope_deg: float = Field(default=25.0, gt=0.0, le=60.0, description="steepest ground to cross")
     margin_m: float = Field(default=0.1, ge=0.0, le=5.0, description="room beside the footprint")

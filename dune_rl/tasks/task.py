@@ -10,7 +10,7 @@ from dune_rl.core.settings import Settings
 from dune_rl.geometry.arrays import Array, Flags, freeze
 from dune_rl.state.state import GroupState, State
 from dune_rl.state.terms import bind_terms, name_term
-from dune_rl.tasks.registry import REWARDS, TERMINATIONS, RewardTerms, TerminationTerms
+from dune_rl.tasks.registry import REWARDS, TERMINATIONS, RewardTerms, Spawn, TerminationTerms
 from dune_rl.tasks.spawn import SpawnConf
 
 DIVERGED = "diverged"
@@ -43,7 +43,7 @@ class TaskConf(Settings):
     The order of the rewards is that of the sum and of the columns `reward/NAME`.
     """
 
-    spawn: SpawnConf = SpawnConf()
+    spawn: Spawn = SpawnConf()
     rewards: RewardTerms = Field(POINT_GOAL_REWARDS)
     terminations: TerminationTerms = Field(POINT_GOAL_TERMINATIONS)
 

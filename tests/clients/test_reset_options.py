@@ -36,7 +36,7 @@ def test_the_episode_by_its_number(env) -> None:
 def test_start_and_goal(env) -> None:
     env.reset()
     x, y, _ = place(env)
-    goal = env.simulation.group().goals.source.goals_w[0].tolist()
+    goal = env.simulation.group().starts.goals_w[0].tolist()
     env.reset(seed=4, options={"start": (x, y, 1.0), "goal": goal})
     np.testing.assert_allclose(place(env), [x, y, 1.0], atol=0.1)
     np.testing.assert_array_equal(env.simulation.state.groups["rover"].goal.position_w[0], goal)
@@ -54,7 +54,7 @@ def test_a_start_alone_gets_a_goal_of_its_own(env) -> None:
     goals = []
     for episode in range(12):
         env.reset(options={"episode": episode})
-        sampled = env.simulation.group().goals.source.goals_w[0].copy()
+        sampled = env.simulation.group().starts.goals_w[0].copy()
         # Where the goal was to be.
         env.reset(options={"episode": episode, "start": sampled})
         goals.append(float(env.simulation.state.groups["rover"].goal.distance[0]))

@@ -55,7 +55,7 @@ def test_people_with_a_behaviour_go_about_and_know_of_the_robot(controller: str)
     people = simulation.state.groups["other"]
     around = simulation.state.surroundings
     assert around.is_robot.tolist() == [True, False, False, False]
-    assert people.reach_m == pytest.approx(0.25) and around.reach_m[0] > 0.25
+    assert people.body.reach_m == pytest.approx(0.25) and around.reach_m[0] > 0.25
     goal_distances(simulation, 60)
     moved = simulation.state.groups["other"].motion.position_w - people.motion.position_w
     assert np.linalg.norm(moved, axis=1).max() > 0.3

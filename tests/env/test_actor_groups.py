@@ -40,7 +40,7 @@ def test_actors_start_apart_from_robots_and_from_each_other() -> None:
         for group in core.groups:
             rows = slice(scene * group.count, (scene + 1) * group.count)
             places.append(core.state.groups[group.name].motion.position_w[rows, :2])
-            reach = 0.25 if group.name == "walker" else group.goals.source.footprint_radius_m
+            reach = 0.25 if group.name == "walker" else group.starts.footprint_radius_m
             reaches += [reach] * group.count
         xy = np.concatenate(places)
         apart = np.linalg.norm(xy[:, None] - xy, axis=-1) + 100.0 * np.eye(len(xy))

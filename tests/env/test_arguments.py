@@ -7,7 +7,7 @@ import pytest
 
 import dune_rl
 from dune_rl.env.pettingzoo import ParallelDuneEnv
-from dune_rl.env.restore import RestoreError
+from dune_rl.env.replay import RestoreError
 
 STILL = np.zeros(2, np.float32)
 

@@ -31,13 +31,14 @@ class ReadRobots:
         worlds = BatchedWorlds([(build_flat(FlatConf()), WeatherConf())] * rows)
         self.body = ArticulatedBody(robot, PhysicsConf(), worlds, 1)
         self.body.reads_joints = True
-        self.engines = [ScriptedRobot(robot.body) for _ in range(rows)]
-        self.body.read_start(np.ones(rows, bool), self.engines)
+        self.engines: list[Any] = [ScriptedRobot(robot.body) for _ in range(rows)]
+        self.body.engines = self.engines
+        self.body.read_start(np.ones(rows, bool))
 
     def read(self, *states: dict[str, Any]) -> None:
         for engine, state in zip(self.engines, states, strict=True):
             engine.state = physics_state(**state)
-        self.body.read(self.engines)
+        self.body.read()
 
     @property
     def motion(self):
@@ -76,7 +77,7 @@ def test_a_new_episode_begins_without_acceleration_and_leaves_the_others():
     robots = ReadRobots(2)
     robots.read({"velocity": (1.0, 0, 0)}, {"velocity": (1.0, 0, 0)})
     robots.engines[0].state = physics_state(velocity=(3.0, 0, 0))
-    robots.body.read_start(np.array([True, False]), robots.engines)
+    robots.body.read_start(np.array([True, False]))
     np.testing.assert_allclose(robots.motion.acceleration_b, [[0, 0, 0], [20, 0, 0]], atol=1e-9)
     robots.read({"velocity": (3.0, 0, 0)}, {"velocity": (1.0, 0, 0)})
     np.testing.assert_allclose(robots.motion.acceleration_b, [[0, 0, 0], [0, 0, 0]], atol=1e-9)
@@ -111,7 +112,7 @@ def test_a_new_episode_is_not_diverged_from_the_last_one():
     robots = ReadRobots(2)
     robots.read({"velocity": (np.nan, 0, 0)}, {"velocity": (np.nan, 0, 0)})
     robots.engines[0].state = physics_state()
-    robots.body.read_start(np.array([True, False]), robots.engines)
+    robots.body.read_start(np.array([True, False]))
     assert robots.motion.diverged.tolist() == [False, True]
 
 
@@ -137,6 +138,6 @@ def test_a_state_that_was_read_stays_as_it_is():
     robots.read({"position": (1, 2, 3), "velocity": (0.5, 0, 0)})
     kept = robots.motion
     robots.read({"position": (4, 5, 6)})
-    robots.body.read_start(np.array([True]), robots.engines)
+    robots.body.read_start(np.array([True]))
     np.testing.assert_array_equal(kept.position_w, [[1, 2, 3]])
     np.testing.assert_array_equal(kept.velocity_w, [[0.5, 0, 0]])

@@ -5,7 +5,7 @@ import pytest
 from scenes import about
 from states import motion_of
 
-from dune_rl.env.goals import GoalTracker
+from dune_rl.env.goal_tracker import GoalTracker
 from dune_rl.state import Motion
 
 BOTH = np.array([True, True])

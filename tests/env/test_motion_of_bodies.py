@@ -8,10 +8,10 @@ import pytest
 from yards import Box, yard
 
 from dune_rl.behaviours.go_to_goal import GoToGoal
+from dune_rl.bodies.motion import MOTION_MODELS, MotionLimits, MotionModelName
 from dune_rl.bodies.registry import BODIES
-from dune_rl.bodies.settings import BodySettings, MotionLimits, MotionModel
+from dune_rl.bodies.settings import BodySettings
 from dune_rl.env.kinematic import KinematicBody
-from dune_rl.env.motion_models import advance
 from dune_rl.geometry.frames import rotation_from_angles, wrap_angle
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.weather import WeatherConf
@@ -143,17 +143,19 @@ def test_bodies_keep_their_whole_length_off_obstacles_and_the_edge() -> None:
 def test_a_holonomic_body_goes_aside() -> None:
     limits = MotionLimits("holonomic", 1.0, max_turn_radps=1.0)
     poses = np.array([[0.0, 0.0, 0.0, 0.4, 0.0, 0.0]])
-    step = advance(limits, poses, np.zeros((1, 2)), np.array([[1.0, np.pi / 2]]), np.zeros(1, bool), STEP_S)
+    advance = MOTION_MODELS.bind(MOTION_MODELS.parse_motion(limits.model))
+    step = advance(limits, poses, np.zeros((1, 2)), np.array([[1.0, np.pi / 2]]), STEP_S)
     way = 0.4 + np.pi / 2
     np.testing.assert_allclose(step.xy, [[STEP_S * np.cos(way), STEP_S * np.sin(way)]], atol=1e-12)
     np.testing.assert_allclose(step.yaw, [0.45])
 
 
 @pytest.mark.parametrize("model", ["unicycle", "holonomic"])
-def test_a_body_without_a_limit_turns_at_once(model: MotionModel) -> None:
+def test_a_body_without_a_limit_turns_at_once(model: MotionModelName) -> None:
     limits = MotionLimits(model, 1.0)
     poses = np.zeros((1, 6))
-    step = advance(limits, poses, np.zeros((1, 2)), np.array([[0.5, 2.0]]), np.zeros(1, bool), STEP_S)
+    advance = MOTION_MODELS.bind(MOTION_MODELS.parse_motion(limits.model))
+    step = advance(limits, poses, np.zeros((1, 2)), np.array([[0.5, 2.0]]), STEP_S)
     np.testing.assert_allclose(step.yaw, [2.0])
 
 

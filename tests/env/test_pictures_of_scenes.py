@@ -36,7 +36,7 @@ class RoverInWorld:
     def put(self, x: float, y: float, yaw: float) -> None:
         z = float(self.world.terrain.height([x, y])) + 0.125
         self._robot.state = np.array([x, y, z, *about([0, 0, 1], yaw), *[0.0] * 6])
-        self.simulation.group().body.read_start(np.array([True]), [self._robot])
+        self.simulation.group().body.read_start(np.array([True]))
 
 
 def eye_behind(pictures: Pictures, monkeypatch: pytest.MonkeyPatch) -> np.ndarray:

@@ -13,13 +13,13 @@ from dune_rl.env.simulation import VectorSimulation
 def gaps(simulation: VectorSimulation) -> list[float]:
     """Distances between the outlines of all people of all scenes who are there, as discs [m]."""
     found = []
-    people = [group for group in simulation.groups if group.body.kind == "person"]
+    people = [group for group in simulation.groups if group.description.kind == "person"]
     for scene in range(simulation.num_scenes):
         discs = [
-            (group.body.poses[row, :2], group.reach_m)
+            (group.body.poses[row, :2], group.description.reach_m)
             for group in people
             for row in range(scene * group.count, (scene + 1) * group.count)
-            if group.visits is None or not group.visits.absent[row]
+            if group.presence is None or not group.presence.absent[row]
         ]
         found += [np.hypot(*(a - b)) - first - second for (a, first), (b, second) in combinations(discs, 2)]
     return found
@@ -61,7 +61,7 @@ def test_groups_start_beside_each_other_and_beside_walkers(controller: str) -> N
                 apart = np.hypot(*np.moveaxis(a[:, None] - b[None], -1, 0))
                 if one == other:
                     apart[np.diag_indices(len(apart))] = np.inf
-                assert apart.min() > by_name[one].reach_m + by_name[other].reach_m
+                assert apart.min() > (by_name[one].description.reach_m + by_name[other].description.reach_m)
     finally:
         simulation.close()
 
@@ -72,7 +72,7 @@ def test_those_who_come_later_find_room_beside_the_others() -> None:
     simulation = make_simulation(conf, 4, seed=3)
     try:
         simulation.reset()
-        visits, arrived = simulation.groups[1].visits, 0
+        visits, arrived = simulation.groups[1].presence, 0
         for _ in range(70):
             before = visits.absent.copy()
             simulation.step({"rover": np.zeros((4, 2))})

@@ -17,7 +17,7 @@ from dune_rl.config.schema import EnvConf
 from dune_rl.config.shorthands import replace_actors
 from dune_rl.core.errors import ConfigError, DuneError
 from dune_rl.core.paths import conf_folder
-from dune_rl.env.episodes.plan import EpisodePlan, PlannedEpisode
+from dune_rl.env.requests import EpisodePlan, PlannedEpisode
 from dune_rl.evaluation.episode_sets import (
     plan_of_set,
     read_episode_set,

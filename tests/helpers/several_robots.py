@@ -11,7 +11,6 @@ from simulations import (
     state_of_group,
 )
 
-from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.env.simulation import VectorSimulation
 
 KINDS = ["rover_zero", "leo_rover"]
@@ -29,9 +28,7 @@ def simulation_of(
 def positions(simulation: VectorSimulation) -> np.ndarray:
     """Of the origins of all robots of each scene, seen from above, (M, R, 2)."""
     states = [
-        state_of_group(simulation, group.name)
-        for group in simulation.groups
-        if isinstance(group.body, ArticulatedBody)
+        state_of_group(simulation, group.name) for group in simulation.groups if group.description.is_robot
     ]
     return np.concatenate([now.by_scene(now.motion.position_w[:, :2]) for now in states], axis=1)
 

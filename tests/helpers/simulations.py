@@ -115,12 +115,12 @@ def metrics(simulation: VectorSimulation, group: str | None = None) -> NDArray[n
 
 def goals_w(simulation: VectorSimulation, group: str | None = None) -> Array:
     """The goals (N, 2) of a group."""
-    return simulation.group(group).goals.source.goals_w
+    return simulation.group(group).starts.goals_w
 
 
 def set_goal(simulation: VectorSimulation, row: int, goal: ArrayLike, group: str | None = None) -> None:
     """Send an agent of a group to `goal` (2,) [m]."""
-    simulation.group(group).goals.source.set_goals(np.array([row]), np.asarray(goal, float))
+    simulation.group(group).starts.set_goals(np.array([row]), np.asarray(goal, float))
 
 
 def bearing(motion: Motion, points_w: ArrayLike) -> Array:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from dune_rl.behaviours.registry import BEHAVIOURS
+from dune_rl.bodies.motion import MOTION_MODELS
 from dune_rl.core.registry import Registry
 from dune_rl.env.randomisation import RANDOMISATIONS
 from dune_rl.learning.networks.registry import ENCODERS
@@ -16,12 +17,13 @@ from dune_rl.learning.registry import ALGORITHMS
 from dune_rl.metrics.registry import METRICS
 from dune_rl.robots.registry import ROBOTS
 from dune_rl.sensors.registry import SENSORS
-from dune_rl.tasks.registry import REWARDS, TERMINATIONS
+from dune_rl.tasks.registry import REWARDS, START_SOURCES, TERMINATIONS
 from dune_rl.worlds.registry import WORLDS
 
 REGISTRIES: tuple[Registry[Any], ...] = (
     *(WORLDS, ROBOTS, SENSORS, BEHAVIOURS, REWARDS, TERMINATIONS, METRICS, RANDOMISATIONS),
     *(ENCODERS, ALGORITHMS),
+    *(START_SOURCES, MOTION_MODELS),
 )
 _SHOWN_FILE = re.compile(r"^```\w+\n# ([\w/.]+)\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
 # Hydra wants the package in the first line.

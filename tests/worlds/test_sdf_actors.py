@@ -13,7 +13,6 @@ from dune_rl.config.build import describe_world, make_simulation
 from dune_rl.config.compose import compose_environment
 from dune_rl.core.errors import ConfigError, WorldError
 from dune_rl.core.untrusted_files import WorldWarning
-from dune_rl.env.kinematic import KinematicBody
 from dune_rl.worlds.actor_trajectory import ActorTrajectory
 from dune_rl.worlds.cache.serialization import deserialize_world, serialize_world
 from dune_rl.worlds.importing.sdf.build import SdfConf, build_sdf, count_actors
@@ -48,9 +47,7 @@ def rest(simulation):
 
 
 def positions(simulation) -> np.ndarray:
-    body = simulation.group("actor").body
-    assert isinstance(body, KinematicBody)
-    return body.motion.position_w.copy()
+    return simulation.group("actor").body.motion.position_w.copy()
 
 
 def test_poses_are_on_gazebo_s_spline_and_turn_the_shorter_way(tmp_path):
@@ -259,7 +256,7 @@ def test_an_actor_that_a_robot_holds_up_is_late_and_walks_on(tmp_path):
     simulation = simulation_of(write(tmp_path, walk))
     try:
         simulation.reset()
-        follower = simulation.group("actor").goals.source.follower
+        follower = simulation.group("actor").starts.follower
         simulation.step(rest(simulation))
         step_s = simulation.physics.control_step_s
         reached = np.array([[[0.25 * step_s, 0.1, 0.0, 0.0]]])

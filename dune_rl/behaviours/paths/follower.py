@@ -85,8 +85,8 @@ class PathFollower:
     """Start poses, goals and scripted poses of N = M * G agents on paths, rows scene after scene.
 
     Each agent has a closed loop: a path to its far end and back, or one round. `goals_w` (N, 2) [m] are the
-    ends of the paths that external agents go to; `renew` sets the other end. `advance` moves scripted agents
-    along their loops at the constant speed `speed_mps`, but for their pauses. `settings` is the path of the
+    ends of the paths that steered agents go to; `renew` sets the other end. `advance` moves followers along
+    their loops at the constant speed `speed_mps`, but for their pauses. `settings` is the path of the
     group's settings; errors about way-points name it.
     """
 
@@ -103,6 +103,7 @@ class PathFollower:
         self.conf, self.count = conf, count
         self._limits = TerrainLimits(radius_m=radius_m, max_slope_deg=90.0, max_water_m=max_water_m)
         self._radius_m, self._settings, self._worlds = radius_m, settings, worlds
+        self._speed_mps = speed_mps
         rows = len(worlds) * count
         # Entries live as long as their worlds.
         self._paths: WeakKeyDictionary[World, _WorldPaths] = WeakKeyDictionary()
@@ -185,26 +186,27 @@ class PathFollower:
         starts, counts = bank.starts[choices[agent]], counts if self.conf.mode == "loop" else counts // 2 + 1
         return [bank.poses[start : start + n, :2] for start, n in zip(starts, counts, strict=True)]
 
-    def reset(self, scene: int, rng: np.random.Generator, avoid_xy: Array) -> Array:
+    def reset(
+        self,
+        scene: int,
+        rng: np.random.Generator,
+        avoid_xy: Array,
+        discs: Array | None = None,
+        radius_m: float = 0.0,
+    ) -> Array:
         """Start poses (G, 4: x, y, z, yaw) of a scene's agents, each on a path drawn with `rng`.
 
         They are `start_distance_m` away from the points `avoid_xy` (R, 2); if no sampled point of an agent's
-        paths is that far away, the farthest one is used. They may overlap: agents on paths go through each
-        other.
+        paths is that far away, the farthest one is used. Agents may overlap, as followers go through each
+        other; with `discs` (K, 3: x, y, radius), agents of `radius_m` keep off these and off each other.
         """
-        return np.array(
-            [self._start(scene, agent, rng, avoid_xy, _NO_DISCS)[0] for agent in range(self.count)]
-        )
-
-    def reset_apart(
-        self, scene: int, rng: np.random.Generator, avoid_xy: Array, discs: Array, radius_m: float
-    ) -> Array:
-        """As `reset`, of agents of `radius_m`, which keep off `discs` (K, 3: x, y, radius) and each other."""
         found = []
         for agent in range(self.count):
-            pose, _ = self._start(scene, agent, rng, avoid_xy, _grown(discs, radius_m))
+            grown = _NO_DISCS if discs is None else _grown(discs, radius_m)
+            pose, _ = self._start(scene, agent, rng, avoid_xy, grown)
             found.append(pose)
-            discs = np.concatenate([discs, [[*pose[:2], radius_m]]])
+            if discs is not None:
+                discs = np.concatenate([discs, [[*pose[:2], radius_m]]])
         return np.array(found)
 
     def place_agent(
@@ -216,7 +218,7 @@ class PathFollower:
         discs: Array | None = None,
         radius_m: float = 0.0,
     ) -> Array | None:
-        """As `reset` or, with `discs`, `reset_apart`, of one agent; None where it has no room."""
+        """As `reset`, of one agent; None where it has no room."""
         grown = _NO_DISCS if discs is None else _grown(discs, radius_m)
         pose, apart = self._start(scene, agent, rng, avoid_xy, grown)
         return pose if apart >= 1.0 else None
@@ -254,9 +256,9 @@ class PathFollower:
         self._offsets[scene, agent] = 0.0
         return found, farthest
 
-    def advance(self, distance_m: float) -> Array:
-        """Move each agent by `distance_m` along its loop, after returning to it; returns the poses (N, 4)."""
-        self._distances[:] = distance_m
+    def advance(self, step_s: float) -> Array:
+        """Move each agent along its loop for `step_s`, after returning to it; returns the poses (N, 4)."""
+        self._distances[:] = self._speed_mps * step_s
         for world, scenes in self._worlds.groups:
             bank, _, stops = self._paths[world]
             rows = self._scenes[scenes]

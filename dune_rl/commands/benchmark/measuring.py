@@ -14,7 +14,6 @@ from torchrl.envs import EnvBase, TransformedEnv
 from dune_rl.config.build import make_parallel_env, make_simulation, make_torchrl_env
 from dune_rl.config.commands import BenchmarkConf
 from dune_rl.env.agent_group import AgentGroup
-from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.env.gymnasium_vector import GymnasiumVectorEnv
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.env.torchrl import EpisodeMetrics
@@ -100,13 +99,11 @@ class RandomActions:
 
 
 def _action_range(group: AgentGroup) -> tuple[Array, Array]:
-    body = group.body
-    if not isinstance(body, ArticulatedBody):
-        return body.action_bounds()
-    low, high = body.robot.action_bounds()
-    if len(low) != _SPEED_AND_HEADING:
+    low, high = group.body.action_bounds()
+    rest = group.rest_action
+    if group.description.is_robot and len(low) != _SPEED_AND_HEADING:
         # With larger angles a robot falls at once, and resets would be measured instead of steps.
-        rest, sway = body.robot.rest_action(), _SWAY * (high - low)
+        sway = _SWAY * (high - low)
         low, high = np.maximum(low, rest - sway), np.minimum(high, rest + sway)
     return low, high
 

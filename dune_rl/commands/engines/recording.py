@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from dune_rl.config.build import build_world, group_setups, scene_class
 from dune_rl.config.compose import compose_environment
-from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.env.simulation import SimulationStep, VectorSimulation
 from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.heightfield import HeightField
@@ -111,8 +110,8 @@ class RecordedSimulation:
             seed=seed,
         )
         self._group = self.simulation.group()
-        assert isinstance(self._group.body, ArticulatedBody)
-        self.robot: Robot = self._group.body.robot
+        body: Any = self._group.body
+        self.robot: Robot = body.robot
         self.step_s = conf.physics.control_step_s
         self.world = self.simulation.worlds.worlds[0]
 

@@ -14,12 +14,11 @@ from torchrl.envs import EnvBase
 from dune_rl.bodies.turning_circle import TurningCircle
 from dune_rl.core.errors import ConfigError, DuneWarning
 from dune_rl.env.agent_group import AgentGroup, GroupStep
-from dune_rl.env.copying import CopiedByReplay
 from dune_rl.env.observation_layout import ObservationLayout
 from dune_rl.env.pictures import Pictures
-from dune_rl.env.render_mode import check_render_mode
-from dune_rl.env.restore import RestoreError
+from dune_rl.env.replay import CopiedByReplay, RestoreError
 from dune_rl.env.simulation import VectorSimulation
+from dune_rl.env.window import check_render_mode
 from dune_rl.geometry.arrays import Flags
 from dune_rl.sensors.sensor import Bounds
 
@@ -45,7 +44,7 @@ class DuneEnv(CopiedByReplay, EnvBase):
             device=torch.device("cpu"),
             batch_size=torch.Size([simulation.num_scenes]),
             # Agents that have not come yet are done.
-            allow_done_after_reset=any(group.visits is not None for group in simulation.external),
+            allow_done_after_reset=any(group.presence is not None for group in simulation.external),
         )
         if not simulation.external:
             raise ConfigError("there is no external agent: give a group controller=external")

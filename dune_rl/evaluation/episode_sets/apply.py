@@ -12,8 +12,7 @@ from dune_rl.config.schema import EnvConf
 from dune_rl.config.shorthands import replace_actors
 from dune_rl.core.errors import ConfigError
 from dune_rl.env.distributions import Choice, WholeNumbers
-from dune_rl.env.episodes.plan import EpisodePlan, PlannedEpisode
-from dune_rl.env.episodes.request import AgentRequest
+from dune_rl.env.requests import AgentRequest, EpisodePlan, PlannedEpisode
 from dune_rl.evaluation.episode_sets.episode_set import EpisodeSet
 
 Model = TypeVar("Model", bound=EnvConf)

@@ -12,16 +12,15 @@ from dune_rl.config.commands import ViewConf
 from dune_rl.config.controller_settings import reads_sensors
 from dune_rl.core.files import write_atomically
 from dune_rl.env.agent_group import AgentGroup
-from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.env.assembly import build_groups
 from dune_rl.env.domain_randomizer import DomainRandomizer
-from dune_rl.env.episodes.start import EpisodeStart
-from dune_rl.env.goals import PathGoals, RegionGoals, place_groups
 from dune_rl.env.scene_manager import SceneManager
+from dune_rl.env.starts.episode_start import EpisodeStarter
+from dune_rl.env.starts.placement import draw_starts
 from dune_rl.geometry.arrays import Array
 from dune_rl.reporting.views.episode import SENSORS_OF_POLICIES, policy_factory
 from dune_rl.reporting.views.tracks import TrackRecorder
-from dune_rl.tasks.spawn import Placement, SpawnConf
+from dune_rl.tasks.spawn import SpawnConf
 from dune_rl.visualization.site_map.colours import OBSTACLES, PATHS
 from dune_rl.visualization.site_map.figure import draw_site_map
 from dune_rl.visualization.site_map.layers import choose_spread_episodes, prop_footprints
@@ -55,21 +54,18 @@ def map_content(conf: ViewConf, tracks: list[Track]) -> MapContent:
         num_scenes=1,
     )
     groups = build_groups(setups, scenes)
-    starter = EpisodeStart(groups, scenes)
-    starter.check_room(conf.seed, world)
-    starter.check_places(world, only_edge=False)
-    actors = starter.starts_on_trajectories(world)
+    EpisodeStarter(groups, scenes).check(conf.seed, world, sets_starts=True)
     viewed = _viewed_group(groups, conf.agent)
     spawner = viewed.spawners.of(world)
     if tracks:
         episodes = {
-            episode: _place_agents(groups, conf.seed, episode, actors)
+            episode: draw_starts(groups, world, conf.seed, episode)
             for episode in sorted({track.episode for track in tracks})
         }
     else:
         xmin, xmax, ymin, ymax = spawner.region
         episodes = choose_spread_episodes(
-            lambda episode: _place_agents(groups, conf.seed, episode, actors),
+            lambda episode: draw_starts(groups, world, conf.seed, episode),
             conf.episodes,
             _APART * max(xmax - xmin, ymax - ymin),
         )
@@ -91,30 +87,6 @@ def _viewed_group(groups: tuple[AgentGroup, ...], agent: str | None) -> AgentGro
     return own or next((group for group in groups if group.is_external), groups[0])
 
 
-def _place_agents(
-    groups: tuple[AgentGroup, ...], seed: int, episode: int, actors: list[tuple[Placement, float]]
-) -> list[Placement]:
-    """Starts and goals of robots, and of others without a path that are there at the start of an episode.
-
-    They are away from the starts of `actors`.
-    """
-    placed = list(actors)
-    with_goals = [group for group in groups if isinstance(group.goals.source, RegionGoals)]
-    robots = [group.goals.source for group in with_goals if isinstance(group.body, ArticulatedBody)]
-    others = []
-    for group in with_goals:
-        if not isinstance(group.body, ArticulatedBody):
-            if group.visits is not None:
-                group.visits.begin(0, seed, episode)
-            others.append((group.goals.source, group.agents_of(0)))
-    for source in robots:
-        assert isinstance(source, RegionGoals)
-        placements = source.place(0, seed, episode, placed)
-        placed += [(placement, source.footprint_radius_m) for placement in placements]
-    found = [placement for placement, _ in placed[len(actors) :]]
-    return found + [one for group in place_groups(others, 0, seed, episode, placed) for one in group]
-
-
 def _spawn_conf(group: AgentGroup) -> SpawnConf:
     return SpawnConf() if group.setup.task is None else group.setup.task.spawn
 
@@ -128,11 +100,11 @@ def _goal_distance_m(group: AgentGroup) -> float:
 
 
 def _example_paths(groups: tuple[AgentGroup, ...]) -> list[Array]:
-    """Some of the paths (P, 2) [m] of each agent that walks on paths."""
-    followers = [group.goals.source.follower for group in groups if isinstance(group.goals.source, PathGoals)]
-    agents = [(follower, agent) for follower in followers for agent in range(follower.count)]
-    each = max(1, len(PATHS) // max(1, len(agents)))
-    return [path for follower, agent in agents for path in follower.paths(agent)[:each]]
+    """Some of the paths (P, 2) [m] of each agent that starts on a path."""
+    agents = [group.starts.example_paths(agent) for group in groups for agent in range(group.count)]
+    on_paths = [paths for paths in agents if paths]
+    each = max(1, len(PATHS) // max(1, len(on_paths)))
+    return [path for paths in on_paths for path in paths[:each]]
 
 
 @no_grad()

@@ -11,7 +11,7 @@ _FOREVER = np.iinfo(np.int64).max
 _RETRY_S = 0.2
 
 
-class Visits:
+class PresenceSchedule:
     """The visits of N = M * G agents, rows scene after scene: each comes once in an episode, at most.
 
     `absent` (N,) marks agents that are not in their scenes now, `came` (N,) those that are or were.
@@ -53,9 +53,9 @@ class Visits:
         """The agent of `row` has come at the end of this step of its scene."""
         self.absent[row], self.came[row], self._came_at[row] = False, True, step
 
-    def leaving(self, steps: Counts) -> Flags:
-        """Flags (N,) of agents whose time is over; `steps` (N,) are those of their scenes."""
-        over: Flags = ~self.absent & (steps - self._came_at >= self._stay)
+    def leaving(self, own_steps: Counts) -> Flags:
+        """Flags (N,) of agents whose time is over; `own_steps` (N,) are those since they have come."""
+        over: Flags = ~self.absent & (own_steps >= self._stay)
         return over
 
     def leave(self, mask: Flags) -> None:

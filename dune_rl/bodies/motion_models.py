@@ -5,39 +5,11 @@ climb [m/s] as well. Speeds are clipped to those of the body. Of the heading a b
 a step: all of it where nothing limits its turning, whatever the heading is.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
-from dune_rl.bodies.settings import MotionLimits
-from dune_rl.geometry.arrays import Array, Flags
+from dune_rl.bodies.motion import MotionLimits, Step
+from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.frames import wrap_angle
-
-
-class Step(NamedTuple):
-    """A control step of N bodies: `xy` (N, 2) [m], `yaw` (N,) [rad] and `velocity` (N, 2) [m/s] at its end.
-
-    The frame of `velocity` is that of the motion model: unicycles and bicycles have (forward speed, 0) in the
-    body frame, holonomic and flying bodies (x, y) in the world frame.
-    """
-
-    xy: Array
-    yaw: Array
-    velocity: Array
-
-
-def advance(
-    limits: MotionLimits, poses: Array, velocity: Array, actions: Array, backing: Flags, step_s: float
-) -> Step:
-    """Where bodies at `poses` (N, 6) with `velocity` (N, 2) get by `actions` (N, 2 or 3).
-
-    `backing` (N,) marks bicycles that drive backwards to get free, whatever the speed of their action.
-    """
-    if limits.model == "unicycle":
-        return _unicycle(limits, poses, velocity, actions, step_s)
-    if limits.model == "bicycle":
-        return _bicycle(limits, poses, velocity, actions, backing, step_s)
-    return _holonomic(limits, poses, velocity, actions, step_s)
 
 
 def stopping_distance(limits: MotionLimits, speed: Array, step_s: float) -> Array:
@@ -48,23 +20,21 @@ def stopping_distance(limits: MotionLimits, speed: Array, step_s: float) -> Arra
     return way
 
 
-def _unicycle(limits: MotionLimits, poses: Array, velocity: Array, actions: Array, step_s: float) -> Step:
+def unicycle(limits: MotionLimits, poses: Array, velocity: Array, actions: Array, step_s: float) -> Step:
+    """It turns, and goes where it faces then."""
     yaw = wrap_angle(poses[:, 3] + _turn(limits, actions, step_s))
     speed = np.clip(actions[:, 0], 0.0, limits.max_speed_mps)
     speed = _accelerated(limits, velocity[:, 0], speed, step_s)
     return Step(_ahead(poses, yaw, speed * step_s), yaw, np.stack([speed, np.zeros_like(speed)], axis=-1))
 
 
-def _bicycle(
-    limits: MotionLimits, poses: Array, velocity: Array, actions: Array, backing: Flags, step_s: float
-) -> Step:
+def bicycle(limits: MotionLimits, poses: Array, velocity: Array, actions: Array, step_s: float) -> Step:
     """Kinematic bicycle: the rear axle's middle moves along the body, on curves as tight as its steering has.
 
     Kong et al. 2015, Kinematic and dynamic vehicle models for autonomous driving control design, without
     slip; the curvature is set at once.
     """
     wanted = np.clip(actions[:, 0], -limits.max_reverse_mps, limits.max_speed_mps)
-    wanted = np.where(backing & (wanted > 0.0), -limits.max_reverse_mps, wanted)
     speed = _accelerated(limits, velocity[:, 0], wanted, step_s)
     way = speed * step_s
     most = np.abs(way) / limits.turning_radius_m
@@ -80,7 +50,8 @@ def _bicycle(
     return Step(xy, yaw, np.stack([speed, np.zeros_like(speed)], axis=-1))
 
 
-def _holonomic(limits: MotionLimits, poses: Array, velocity: Array, actions: Array, step_s: float) -> Step:
+def holonomic(limits: MotionLimits, poses: Array, velocity: Array, actions: Array, step_s: float) -> Step:
+    """It goes in the direction of its heading at once, and turns towards it."""
     speed = np.clip(actions[:, 0], 0.0, limits.max_speed_mps)
     way = poses[:, 3] + actions[:, 1]
     change = speed[:, None] * np.stack([np.cos(way), np.sin(way)], axis=-1) - velocity

@@ -1,0 +1,119 @@
+"""What a source of starts and goals does for an agent group."""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from dune_rl.env.body import Body
+from dune_rl.env.requests import AgentRequest
+from dune_rl.geometry.arrays import Array, Counts, Flags
+from dune_rl.tasks.spawn import Placement
+from dune_rl.worlds.world import World
+
+# A start and a goal, and the radius of the disc that holds the agent [m].
+Taken = tuple[Placement, float]
+
+
+@dataclass
+class TakenPlaces:
+    """Places of one scene that other agents have.
+
+    `placements` are starts and goals, from which sampled ones keep their distance. `points` are points (P, 2)
+    [m] from which starts on paths keep their distance: robots, and outlines of bodies that are not on paths.
+    `discs` (K, 3: x, y, radius) [m] hold the bodies that started on paths.
+    """
+
+    placements: list[Taken] = field(default_factory=list)
+    points: list[Array] = field(default_factory=list)
+    discs: Array = field(default_factory=lambda: np.zeros((0, 3)))
+
+    def copy(self) -> "TakenPlaces":
+        """Places that change independently."""
+        return TakenPlaces(list(self.placements), list(self.points), self.discs)
+
+    @property
+    def all_points(self) -> Array:
+        """All `points` as one array (P, 2)."""
+        return np.concatenate([np.zeros((0, 2)), *self.points])
+
+
+class StartSource(Protocol):
+    """Starts and goals of N = M * G agents, rows scene after scene.
+
+    Sources of lower `rank` are placed first. `faces_free_way` says whether bodies that cannot turn on the
+    spot may be turned at their starts.
+    """
+
+    rank: int
+    faces_free_way: bool
+
+    @property
+    def goals_w(self) -> Array:
+        """Goals (N, 2) [m]; the array is never written afterwards."""
+        ...
+
+    def prepare(self, world: World, seed: int) -> None:
+        """Find what starts need in `world`; raises `WorldError` if there is no room."""
+        ...
+
+    def replan(self, world: World, seed: int) -> None:
+        """Drop what depends on the seed, and find it anew in `world`."""
+        ...
+
+    def keep(self, worlds: Collection[World]) -> None:
+        """Drop what was found in all other worlds."""
+        ...
+
+    def fixed_starts(self, world: World) -> list[Taken]:
+        """Starts that never change, which all other agents avoid."""
+        ...
+
+    def check_count(self, world: World, seed: int, episode: int, taken: list[Taken]) -> None:
+        """Add what `place` would sample in `world` to `taken`; raises `WorldError` if there is no room."""
+        ...
+
+    def place(
+        self,
+        scene: int,
+        seed: int,
+        episode: int,
+        agents: Sequence[int],
+        taken: TakenPlaces,
+        asked: Mapping[int, AgentRequest],
+        attempt: int = 0,
+    ) -> Array:
+        """Start poses (len(agents), 4: x, y, z, yaw) of a scene's `agents`, whose goals are set as well.
+
+        The places are added to `taken.placements`. `asked` has requested starts and goals by agent. Raises
+        `WorldError` if there is no room; another `attempt` draws anew.
+        """
+        ...
+
+    def admit(self, scene: int, agent: int, seed: int, episode: int, taken: TakenPlaces) -> Array | None:
+        """A start pose (4) for an agent that comes later; None without room now."""
+        ...
+
+    def occupy(self, taken: TakenPlaces, body: Body, scene: int) -> None:
+        """Add where the bodies of a scene are to `taken`, for starts on paths."""
+        ...
+
+    def renew(self, mask: Flags) -> None:
+        """Set new goals for the agents in `mask` (N,)."""
+        ...
+
+    def set_goals(self, rows: Counts, goals_w: Array) -> None:
+        """Set the goals of the agents in `rows` (K,) to `goals_w` (K, 2) [m]."""
+        ...
+
+    def hold_back(self, scenes: Counts, poses: Array, absent: Flags | None) -> None:
+        """Take note that robots limited the agents of `scenes` (S,) to `poses` (S, G, 4 or more).
+
+        `absent` (N,) marks agents that are not in their scenes.
+        """
+        ...
+
+    def example_paths(self, agent: int) -> list[Array]:
+        """Ways (P, 2) [m] that an agent may take in scene 0, for maps."""
+        ...
