@@ -31,8 +31,8 @@ from dune_rl.physics.interface import PhysicsConf
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.reporting.settings import ReportConf
 from dune_rl.robots.registry import ROBOTS
-from dune_rl.sensors.conf import SensorsConf
 from dune_rl.sensors.registry import SENSORS
+from dune_rl.sensors.settings import SensorSettings
 from dune_rl.tasks.registry import REWARDS, TERMINATIONS
 from dune_rl.tasks.task import TaskConf
 from dune_rl.trajectories.settings import TrajectoryConf
@@ -85,18 +85,16 @@ def section_settings(name: str) -> Section:
 
 def sensor_settings() -> Section:
     """The settings of the sensors, without those of their faults."""
-    section = read_section(SensorsConf, "sensors", read_comments("sensors/default"))
-    for inner in section.sections:
-        if inner.path == "sensors.realism":
-            inner.sections = []
-    for name in SENSORS.own:
-        model = SENSORS.settings_class(name)
-        if model is None or name in SensorsConf.model_fields:
-            continue
-        path = f"sensors.named.NAME={{sensor: {name}}}"
-        named = read_section(model, path, {}, without=_TAGS | {"realism"})
-        if named.settings:
-            section.sections.append(named)
+    every = frozenset(SensorSettings.model_fields)
+    section = read_section(SensorSettings, "sensors.NAME", {})
+    section.settings[0] = replace(section.settings[0], default="`NAME`")
+    section.sections = [
+        inner
+        for name in SENSORS.own
+        if (
+            inner := read_section(SENSORS.settings_class(name), f"sensors.{name}", {}, without=every)
+        ).settings
+    ]
     return section
 
 

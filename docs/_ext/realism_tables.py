@@ -1,37 +1,39 @@
-"""Reference of `sensors.realism`: the faults of each sensor, each class of them once."""
+"""Reference of the `realism` of sensors: the faults of each sensor, each class of them once."""
 
-from conf_comments import read_comments
 from settings_tables import as_code, first_paragraph, read_section, render_section
 
 from dune_rl.core.settings import Settings
-from dune_rl.sensors.conf import SensorRealismConf
 from dune_rl.sensors.realism.camera import CameraRealismConf
 from dune_rl.sensors.realism.lidar import LidarRealismConf
 from dune_rl.sensors.realism.noise import NoiseConf
-from dune_rl.sensors.realism.pipeline import RealismConf
+from dune_rl.sensors.realism.pipeline import ReadingRealismConf, RealismConf
 from dune_rl.sensors.realism.presets import PARTS
+from dune_rl.sensors.registry import SENSORS
 
 _COMMON = frozenset(RealismConf.model_fields)
+_OWN = frozenset(RealismConf.__subclasses__())
 
 
 def _settings_of(sensor: str) -> type[RealismConf]:
-    annotation = SensorRealismConf.model_fields[sensor].annotation
-    (model,) = (each for each in getattr(annotation, "__args__", ()) if each is not type(None))
+    annotation = SENSORS.settings_class(sensor).model_fields["realism"].annotation
+    model = next((each for each in getattr(annotation, "__args__", ()) if each in _OWN), ReadingRealismConf)
     assert issubclass(model, RealismConf)
     return model
 
 
 def sensors_table() -> str:
     """What can be set for each sensor, and the names of its channels of noise."""
-    said = read_comments("sensors/default")
     rows = []
-    for sensor in SensorRealismConf.model_fields:
+    for sensor in SENSORS.own:
+        if sensor == "lidar_past":
+            continue
         model = _settings_of(sensor)
         channels = ", ".join(f"`{name}`" for name in _channels(model))
         about = as_code(first_paragraph(model.__doc__ or ""))
         about = f"{about} Channels: {channels}." if channels else f"{about} Settings of its own, below."
-        values = as_code(said[f"realism.{sensor}"].removeprefix("or "))
-        rows.append(f"| `{sensor}` | {about} | {values} |")
+        devices = [f"`{name}`" for name, part in PARTS.items() if part.kind == model.kind]
+        values = devices or [f"`{{{name}: {{noise: 0.02}}}}`" for name in _channels(model)[:1]]
+        rows.append(f"| `{sensor}` | {about} | {', '.join(values)} |")
     return "\n".join(["| sensor | faults | values |", "|---|---|---|", *rows])
 
 

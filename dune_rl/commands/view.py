@@ -2,16 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from rich.console import Console
 
 from dune_rl.commands import command_line
 from dune_rl.config.commands import ViewConf
 from dune_rl.config.compose import compose_view, override_value
-from dune_rl.sensors.camera import Output
-from dune_rl.sensors.conf import ROBOT_SENSORS
-from dune_rl.sensors.lidar_3d import Lidar3dOutput
+from dune_rl.config.saved import upgrade_saved
 
 
 def run(words: Sequence[str]) -> None:
@@ -31,15 +29,10 @@ def run(words: Sequence[str]) -> None:
 
 def _with_all_sensors(saved: Mapping[str, Any]) -> dict[str, Any]:
     """Settings of a run with all sensors enabled; its policy reads only its own."""
-    own = saved["sensors"]
-    sensors = {
-        **own,
-        "enabled": [*own["enabled"], *(name for name in ROBOT_SENSORS if name not in own["enabled"])],
-    }
-    for name, outputs in (("camera", get_args(Output)), ("lidar_3d", get_args(Lidar3dOutput))):
-        if name not in own["enabled"]:
-            sensors[name] = {**own.get(name, {}), "outputs": list(outputs)}
-    return {**saved, "sensors": sensors}
+    upgraded = upgrade_saved(saved)
+    own = upgraded["sensors"]
+    every = compose_view(["+world=flat", "sensors=all"]).model_dump(mode="json")["sensors"]
+    return {**upgraded, "sensors": {**own, **{name: every[name] for name in every if name not in own}}}
 
 
 def _drop_odometry_of_legs(conf: ViewConf) -> ViewConf:
@@ -54,8 +47,8 @@ def _drop_odometry_of_legs(conf: ViewConf) -> ViewConf:
     ]
     if all(robot.wheels is not None for robot in robots):
         return conf
-    enabled = tuple(name for name in conf.sensors.enabled if name != "odometry")
-    return conf.model_copy(update={"sensors": conf.sensors.model_copy(update={"enabled": enabled})})
+    sensors = {name: each for name, each in conf.sensors.items() if each.sensor != "odometry"}
+    return conf.model_copy(update={"sensors": sensors})
 
 
 def _stem(conf: ViewConf) -> str:

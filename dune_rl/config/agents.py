@@ -27,7 +27,8 @@ from dune_rl.core.suggestions import closest, one_of
 from dune_rl.metrics.episode import MetricsConf
 from dune_rl.robots.registry import ROBOTS
 from dune_rl.robots.settings import RobotSettings
-from dune_rl.sensors.conf import SensorsConf
+from dune_rl.sensors.conf import Sensors, parse_sensors
+from dune_rl.sensors.settings import SensorSettings
 from dune_rl.tasks.presence import PresenceConf
 from dune_rl.tasks.task import TaskConf, walking_task
 
@@ -39,7 +40,12 @@ PRESETS: Mapping[str, tuple[str, ...]] = {
     "task": (SHARED, "roaming", "walking", "to_and_fro", NONE),
     "metrics": (SHARED, NONE),
 }
-SECTIONS: Mapping[str, type[Settings]] = {"sensors": SensorsConf, "task": TaskConf, "metrics": MetricsConf}
+# The settings of each section, of sensors those of each entry.
+SECTIONS: Mapping[str, type[Settings]] = {
+    "sensors": SensorSettings,
+    "task": TaskConf,
+    "metrics": MetricsConf,
+}
 _MOST_AGENTS = 1000
 # Agents are called GROUP_0, GROUP_1, ...; TorchRL has keys of its own beside the groups'.
 _GROUP_NAME = re.compile(r"[A-Za-z]\w*")
@@ -69,9 +75,22 @@ def _parse_section(section: str) -> BeforeValidator:
     def parse(value: Any) -> Any:
         if value is None or value in PRESETS[section]:
             return value
-        return SECTIONS[section].model_validate(value)
+        return parse_section(section, value)
 
     return BeforeValidator(parse)
+
+
+def parse_section(section: str, value: Any) -> Any:
+    """The settings of a section from plain data; raises pydantic's ValidationError."""
+    return parse_sensors(value) if section == "sensors" else SECTIONS[section].model_validate(value)
+
+
+def is_complete(section: str, settings: Mapping[str, Any]) -> bool:
+    """Whether plain settings of a section are all that there are, as in a saved run, and so no changes."""
+    parts = settings.values() if section == "sensors" else (settings,)
+    return bool(settings) and all(
+        isinstance(part, Mapping) and SECTIONS[section].model_fields.keys() <= part.keys() for part in parts
+    )
 
 
 class AgentGroupConf(Settings):
@@ -98,9 +117,7 @@ class AgentGroupConf(Settings):
     presence: PresenceConf | None = Field(
         None, description="when the agents come and go; null: they are there all the time"
     )
-    sensors: Annotated[
-        SensorsConf | Literal["shared", "walker", "none"] | None, _parse_section("sensors")
-    ] = None
+    sensors: Annotated[Sensors | Literal["shared", "walker", "none"] | None, _parse_section("sensors")] = None
     task: Annotated[
         TaskConf | Literal["shared", "roaming", "walking", "to_and_fro", "none"] | None,
         _parse_section("task"),
@@ -162,7 +179,7 @@ class ResolvedGroup:
     count: int
     controller: Controller
     path: PathConf | None
-    sensors: SensorsConf | None
+    sensors: Sensors | None
     task: TaskConf | None
     metrics: MetricsConf | None
     presence: PresenceConf | None = None
@@ -220,14 +237,9 @@ def preset_settings(section: str, preset: str, shared: Any) -> Any:
     return shared
 
 
-def walker_sensors() -> SensorsConf:
+def walker_sensors() -> Sensors:
     """What persons observe: the end of their path, the nearest other agent, and their own velocity."""
-    return SensorsConf.model_validate(
-        {
-            "enabled": ["goal", "nearest_agent", "velocity"],
-            "named": {"velocity": {"sensor": "planar_velocity"}},
-        }
-    )
+    return parse_sensors({"goal": {}, "nearest_agent": {}, "velocity": {"sensor": "planar_velocity"}})
 
 
 def roaming_task(task: TaskConf) -> TaskConf:

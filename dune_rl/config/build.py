@@ -61,7 +61,9 @@ def make_simulation(
     check_whole("seed", seed, at_least=0)
     make_world = build_world if make_world is None else make_world
     prepare = (
-        partial(prepare_worlds, with_appearance="camera" in conf.sensors.enabled)
+        partial(
+            prepare_worlds, with_appearance=any(sensor.sensor == "camera" for sensor in conf.sensors.values())
+        )
         if prepare is None
         else prepare
     )

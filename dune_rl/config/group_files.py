@@ -13,6 +13,7 @@ from dune_rl.config.schema import Conf, EnvConf
 from dune_rl.core.errors import CheckpointError, DuneError, WorldError
 from dune_rl.core.paths import conf_folder
 from dune_rl.core.suggestions import one_of
+from dune_rl.sensors.conf import observed_names
 from dune_rl.worlds.actor_trajectory import ActorTrajectory
 
 
@@ -79,9 +80,9 @@ def _sensors_in_words(group: ResolvedGroup) -> str:
         if sensors == group.sensors:
             return name
     for name, sensors in found.items():
-        if sensors.enabled == group.sensors.enabled:
+        if observed_names(sensors) == observed_names(group.sensors):
             return name
-    return f"[{','.join(group.sensors.enabled)}]"
+    return f"[{','.join(observed_names(group.sensors))}]"
 
 
 def _read_trajectories(conf: EnvConf) -> tuple[dict[str, tuple[ActorTrajectory, ...]], list[str]]:

@@ -14,6 +14,7 @@ from dune_rl.config.overrides import ParsedOverrides, option_names
 from dune_rl.config.shorthands import merged
 from dune_rl.core.errors import WorldError
 from dune_rl.core.suggestions import closest, one_of
+from dune_rl.sensors.conf import complete_entries
 from dune_rl.worlds.registry import WORLDS
 
 SCENARIO = "scenario"
@@ -96,6 +97,10 @@ def _expanded(group: Mapping[str, Any], path: str, loader: ConfigLoader, faults:
         known = option_names(loader, section)
         if name in known:
             out[section] = _settings_of(section, name, changes)
+            if section == "sensors":
+                # Faulty ones stay, for the check to report.
+                with suppress(ValueError):
+                    out[section] = complete_entries(out[section])
         else:
             near = closest(name, known)
             remedy = f"did you mean {near}?" if near else f"choose {one_of(known)}"

@@ -6,6 +6,7 @@ from typing import Any
 
 from dune_rl.config.agents import SECTIONS
 from dune_rl.config.shorthands import is_robot_group, join_groups, write_agents
+from dune_rl.sensors.conf import complete_entries
 from dune_rl.tasks.task import TaskConf
 
 # Sections whose angles were in radians, under names that ended in `_rad`.
@@ -29,6 +30,9 @@ def upgrade_saved(saved: Mapping[str, Any]) -> dict[str, Any]:
     for section in _SECTIONS_OF_ANGLES:
         if section in data:
             data[section] = _in_degrees(data[section])
+    for place in (data, *_groups(data)):
+        if isinstance(place.get("sensors"), dict) and "enabled" in place["sensors"]:
+            place["sensors"] = _sensors_by_name(place["sensors"])
     return write_agents(data)
 
 
@@ -49,6 +53,28 @@ def split_groups(config: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, A
 def robot_names(config: Mapping[str, Any]) -> list[str]:
     """The names of the robots in saved settings of any form, sorted."""
     return sorted({str(group["body"]["name"]) for group in split_groups(config)[0].values()})
+
+
+def _groups(data: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The settings of all agent groups."""
+    sections = [data.get(name) for name in ("agents", "actors")]
+    return [group for groups in sections if isinstance(groups, dict) for group in groups.values()]
+
+
+def _sensors_by_name(old: Mapping[str, Any]) -> dict[str, Any]:
+    """Sensors by name, from a list `enabled` beside the settings of each kind, `named` ones and `realism`."""
+    entries = {**old, **old.get("named", {})}
+    realism, past_s = entries.pop("realism", {}), entries.pop("past_s", 0.5)
+    entries |= {name: {} for name, faults in realism.items() if faults is not None and name not in entries}
+    entries.pop("named", None)
+    for name in old["enabled"]:
+        if name.endswith("_past"):
+            entries[name] = {"sensor": "lidar_past", "lidar": name.removesuffix("_past"), "past_s": past_s}
+    found: dict[str, Any] = complete_entries(entries)
+    for name, faults in realism.items():
+        if faults is not None:
+            found[name]["realism"] = faults
+    return found
 
 
 def copy_nested(value: Any) -> Any:

@@ -24,7 +24,7 @@ from dune_rl.metrics.episode import MetricsConf, metric_names
 from dune_rl.physics.interface import PhysicsConf
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.robots.settings import RobotSettings
-from dune_rl.sensors.conf import SensorsConf
+from dune_rl.sensors.conf import Sensors, check_timing, default_sensors
 from dune_rl.tasks.registry import ROBOT_REWARDS, TERMINATIONS
 from dune_rl.tasks.task import DIVERGED, POINT_GOAL_TERMINATIONS, TaskConf
 from dune_rl.worlds.registry import WORLDS
@@ -45,7 +45,7 @@ class EnvConf(Settings):
     world: WorldConf
     weather: WeatherConf = WeatherConf()
     agents: Annotated[AgentGroups, Field(min_length=1)]
-    sensors: SensorsConf = SensorsConf()
+    sensors: Sensors = Field(default_factory=default_sensors)
     physics: PhysicsConf = PhysicsConf()
     task: TaskConf = TaskConf()
     metrics: MetricsConf = MetricsConf()
@@ -149,23 +149,19 @@ class EnvConf(Settings):
 
     @model_validator(mode="after")
     def _rates_fit(self) -> Self:
-        for path, group in self._sensing_groups():
-            try:
-                group.check_timing(self.physics.control_step_s)
-            except ValueError as error:
-                raise ValueError(str(error).replace("sensors", path, 1)) from None
+        for path, sensors in self._sensing_groups():
+            check_timing(sensors, self.physics.control_step_s, path)
         return self
 
     @model_validator(mode="after")
     def _sensed_groups_exist(self) -> Self:
         known = [group.name for group in self.groups]
         for path, sensors in self._sensing_groups():
-            for sensor, sensed in sensors.sensed_groups().items():
-                for name in sensed:
+            for sensor, conf in sensors.items():
+                for name in getattr(conf, "groups", ()):
                     if name not in known:
                         raise ValueError(
-                            f"{path}: {sensor} senses a group {name!r}, which is not there; "
-                            f"choose {one_of(known)}"
+                            f"{path}.{sensor}.groups: there is no group {name!r}; choose {one_of(known)}"
                         )
         return self
 
@@ -214,9 +210,9 @@ class EnvConf(Settings):
                     )
         return self
 
-    def _sensing_groups(self) -> list[tuple[str, SensorsConf]]:
+    def _sensing_groups(self) -> list[tuple[str, Sensors]]:
         """The different sensors of all groups, and where they are set."""
-        found: dict[str, SensorsConf] = {}
+        found: dict[str, Sensors] = {}
         for group in self.groups:
             if group.sensors is self.sensors:
                 found["sensors"] = group.sensors

@@ -12,13 +12,16 @@ from dune_rl.config.agents import (
     PRESETS,
     SECTIONS,
     free_name,
+    is_complete,
     is_on_path,
     parse_members,
+    parse_section,
     preset_settings,
     presets_of,
 )
 from dune_rl.core.errors import ConfigError, DuneError
 from dune_rl.robots.registry import ROBOTS
+from dune_rl.sensors.conf import default_sensors, parse_sensors, read_entries
 
 SHORTHANDS = ("robot", "robots", "actors")
 _DEFAULT_ROBOT = {"name": "rover_zero"}
@@ -72,6 +75,8 @@ def join_groups(data: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, str]
 
 def complete_sections(data: dict[str, Any]) -> dict[str, Any]:
     """`data`, in which sections of groups that state some settings have the others of their preset, too."""
+    if "sensors" in data:
+        data["sensors"] = _sensor_entries(data["sensors"])
     groups = data.get("agents")
     if isinstance(groups, Mapping):
         data["agents"] = {name: _completed(group, data) for name, group in groups.items()}
@@ -83,9 +88,9 @@ def _completed(group: Any, data: Mapping[str, Any]) -> Any:
     if not isinstance(group, Mapping):
         return group
     out = dict(group)
-    for section, settings in SECTIONS.items():
+    for section in SECTIONS:
         changes = group.get(section)
-        if not isinstance(changes, Mapping) or settings.model_fields.keys() <= changes.keys():
+        if not isinstance(changes, Mapping) or is_complete(section, changes):
             continue
         preset = changes.get("name")
         if preset not in PRESETS[section]:
@@ -95,11 +100,30 @@ def _completed(group: Any, data: Mapping[str, Any]) -> Any:
             on_path = is_on_path(*members, has_path=group.get("path") is not None)
             preset = presets_of(*members, on_path=on_path, with_all=True)[section]
         with suppress(ValidationError):
-            shared = settings.model_validate(data.get(section) or {})
-            base = preset_settings(section, str(preset), shared)
-            base = {} if base is None else base.model_dump(mode="json")
+            given = data.get(section)
+            if section == "sensors":
+                shared = default_sensors() if given is None else parse_sensors(given)
+            else:
+                shared = parse_section(section, given or {})
+            base = _plain(preset_settings(section, str(preset), shared))
             out[section] = merged(base, {key: value for key, value in changes.items() if key != "name"})
+    if "sensors" in out:
+        out["sensors"] = _sensor_entries(out["sensors"])
     return out
+
+
+def _plain(settings: Any) -> dict[str, Any]:
+    """Settings, or those of sensors by name, as plain data."""
+    if isinstance(settings, Mapping):
+        return {name: entry.model_dump(mode="json") for name, entry in settings.items()}
+    return {} if settings is None else dict(settings.model_dump(mode="json"))
+
+
+def _sensor_entries(sensors: Any) -> Any:
+    """The entries of sensors as `read_entries` has them; faulty ones stay, for the check to report."""
+    with suppress(ValueError):
+        return read_entries(sensors)
+    return sensors
 
 
 def is_robot_group(group: Any) -> bool:

@@ -23,7 +23,8 @@ from dune_rl.geometry.arrays import Array, Counts, Flags, Floats
 from dune_rl.metrics.episode import MetricsConf
 from dune_rl.robots.robot import Robot
 from dune_rl.sensors.sensor import Bounds, Reading
-from dune_rl.sensors.suite import SensorsConf, SensorSuite
+from dune_rl.sensors.settings import SensorSettings
+from dune_rl.sensors.suite import SensorSuite
 from dune_rl.state.state import GoalState, GroupState, ScanQueries, State
 from dune_rl.tasks.presence import PresenceConf
 from dune_rl.tasks.spawn import Placement
@@ -58,7 +59,7 @@ class GroupSetup:
     follows_paths: bool = False
     follows_trajectories: bool = False
     trajectories: tuple[ActorTrajectory, ...] | None = None
-    sensors: SensorsConf | None = None
+    sensors: Mapping[str, SensorSettings] | None = None
     task: TaskConf | None = None
     metrics: MetricsConf | None = None
     presence: PresenceConf | None = None
@@ -168,7 +169,7 @@ class AgentGroup:
                 f"{name} cannot act for the group {self.name}: it outputs a speed and a heading, and the "
                 f"action has {self.action_size} components; choose another robot.action"
             )
-        lidar = None if self.suite is None else self.suite.conf.lidar
+        lidar = None if self.suite is None else self.suite.settings_of("lidar")
         behaviour.bind(DriverContext(self.name, self.body.vehicle(), lidar, self.observe))
 
     @property

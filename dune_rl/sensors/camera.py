@@ -1,7 +1,7 @@
 """A camera on every rover: colours, depth, segments and normals of all scenes' pictures in one go."""
 
 from collections.abc import Sequence
-from typing import Any, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,25 +16,38 @@ from dune_rl.rendering.scenery import Segment
 from dune_rl.sensors.lens import Lens, LensConf
 from dune_rl.sensors.mesh_columns import columns_by_mesh
 from dune_rl.sensors.pixels import depths_along_axis, look_up_colours, tile_order, unpack_colours
-from dune_rl.sensors.sensor import Mount, mount_position
+from dune_rl.sensors.realism.camera import CameraRealismConf
+from dune_rl.sensors.realism.presets import PARTS
+from dune_rl.sensors.sensor import MOUNT, Mount, mount_position
+from dune_rl.sensors.settings import SensorSettings
 
 _CLEAR = ParticipatingMedia()
 
 Output = Literal["rgb", "grey", "depth", "segmentation", "normals"]
 
 
-class CameraConf(LensConf):
+class CameraConf(LensConf, SensorSettings):
     """Lens, mount and outputs. The defaults are the paper's: 64 by 64 pixels, 60 degrees, RGB.
 
-    `mount_b` is forward, left and up of the robot's origin [m]; `pitch_deg`
-    tilts the camera down. `range_m` is how far it sees, and the depth where
-    nothing is seen.
+    The depth is `range_m` where nothing is seen.
     """
 
-    outputs: tuple[Output, ...] = Field(("rgb",), min_length=1)
-    mount_b: Mount = None
-    pitch_deg: float | None = Field(None, ge=-90.0, le=90.0)
-    range_m: float = Field(100.0, gt=0.0, le=10_000.0)
+    from_carrier: ClassVar = {"mount_b": "camera_b", "pitch_deg": "camera_pitch_deg"}
+    # The depth of one device and the colours of another.
+    default_realism: ClassVar = CameraRealismConf.model_validate(
+        {**PARTS["realsense_d435"].settings, **PARTS["raspberry_pi_v2"].settings}
+    )
+
+    sensor: Literal["camera"] = "camera"
+    realism: CameraRealismConf | None = None
+    outputs: tuple[Output, ...] = Field(
+        ("rgb",), min_length=1, description="of rgb, grey, depth, segmentation and normals"
+    )
+    mount_b: Mount = MOUNT
+    pitch_deg: float | None = Field(
+        None, ge=-90.0, le=90.0, description="downward tilt [deg]; null: the robot's own"
+    )
+    range_m: float = Field(100.0, gt=0.0, le=10_000.0, description="how far it sees [m]")
 
     @model_validator(mode="after")
     def _outputs_differ(self) -> Self:

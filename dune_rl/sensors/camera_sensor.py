@@ -7,17 +7,19 @@ from numpy.typing import NDArray
 
 from dune_rl.geometry.arrays import Flags
 from dune_rl.rendering.scenery import Segment
-from dune_rl.sensors.camera import Camera, Cameras
+from dune_rl.sensors.camera import CameraConf
+from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.sensor import Bounds, Reading
 from dune_rl.state.state import GroupState, State
 
 
 class CameraSensor:
-    """The readings "<name>_<output>", (N, height, width, channels), of a `Camera` or of several."""
+    """The readings "<name>_<output>", (N, height, width, channels)."""
 
-    def __init__(self, camera: Camera | Cameras, num_rows: int, name: str = "camera") -> None:
-        self._camera, self._name = camera, name
-        self._agents = 1 if isinstance(camera, Camera) else num_rows // len(camera)
+    def __init__(self, name: str, context: SensorContext, conf: CameraConf) -> None:
+        num_rows = context.num_rows
+        self._camera, self._name = context.make_cameras(conf), name
+        self._agents = num_rows // len(self._camera)
         self._frames: dict[str, NDArray[Any]] = {
             name: np.zeros((num_rows, *low.shape), low.dtype) for name, (low, _) in self.bounds().items()
         }

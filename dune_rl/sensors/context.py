@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -10,7 +11,13 @@ from dune_rl.rendering.beam_surface import BatchedBeamSurfaces
 from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.rendering.participating_media import BeamMedia
 from dune_rl.sensors.camera import CameraConf, Cameras
+from dune_rl.sensors.navigation import Navigation
+from dune_rl.sensors.sensor import Sensor
 from dune_rl.state.sensor_carrier import SensorCarrier
+
+
+def _no_sensors(name: str) -> Any:
+    raise LookupError(f"no sensor {name!r} is at hand")
 
 
 @dataclass(frozen=True)
@@ -22,6 +29,11 @@ class SensorContext:
     the moving bodies in the order of the columns of `GroupState.neighbours`. Agents of any scene stay in the
     rectangle `extent` (xmin, xmax, ymin, ymax) and between `heights` (zmin, zmax) [m]. `make_cameras` builds
     the cameras of all scenes for given settings. A control step takes `step_s`.
+
+    A sensor reads other sensors of the same agents by `sensor_of`, given their names, without their rate and
+    latency: they have been measured before it. `settings_of` has the settings of the sensor that is called
+    after a kind, or the kind's defaults. `navigation` is what the robots know of their own motion where any
+    sensor has the faults of a real device.
     """
 
     num_rows: int
@@ -35,6 +47,9 @@ class SensorContext:
     heights: tuple[float, float]
     make_cameras: Callable[[CameraConf], Cameras]
     air: BeamMedia
+    sensor_of: Callable[[str], Sensor] = _no_sensors
+    settings_of: Callable[[str], Any] = _no_sensors
+    navigation: Navigation | None = None
 
     @property
     def diagonal_m(self) -> float:

@@ -1,18 +1,21 @@
 """Motor currents: what the drives' torques cost, wheel by wheel."""
 
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
-from dune_rl.core.settings import Settings
 from dune_rl.geometry.arrays import Flags
 from dune_rl.geometry.frames import clip
+from dune_rl.sensors.context import SensorContext
+from dune_rl.sensors.realism.noise import NoiseConf
+from dune_rl.sensors.realism.pipeline import ReadingRealismConf
 from dune_rl.sensors.sensor import Bounds, Reading, joints_of
+from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.state import GroupState, State
 
 
-class CurrentsConf(Settings):
+class CurrentsConf(SensorSettings):
     """Motor and gear of a wheel. The defaults stand for the Rover Zero's and are estimates.
 
     The gear's 96 is that of its maker's driver (RoverRobotics/librover,
@@ -23,10 +26,14 @@ class CurrentsConf(Settings):
     motor controllers.
     """
 
-    torque_constant_nm_per_a: float = Field(0.017, gt=0.0, le=10.0)
-    gear_ratio: float = Field(96.0, gt=0.0, le=1_000.0)
-    efficiency: float = Field(0.7, gt=0.0, le=1.0)
-    limit_a: float = Field(10.0, gt=0.0, le=1_000.0)
+    # An estimate: a hundredth of the current that motors may draw.
+    default_realism: ClassVar = ReadingRealismConf(each=NoiseConf(noise=0.1))
+
+    sensor: Literal["currents"] = "currents"
+    torque_constant_nm_per_a: float = Field(0.017, gt=0.0, le=10.0, description="of the motor [N m/A]")
+    gear_ratio: float = Field(96.0, gt=0.0, le=1_000.0, description="turns of the motor for one of the wheel")
+    efficiency: float = Field(0.7, gt=0.0, le=1.0, description="share of the torque that the gears leave")
+    limit_a: float = Field(10.0, gt=0.0, le=1_000.0, description="readings are clipped to this [A]")
 
 
 class Currents:
@@ -39,14 +46,15 @@ class Currents:
 
     needs_joints: ClassVar[bool] = True
 
-    def __init__(self, conf: CurrentsConf, num_rows: int, num_wheels: int, name: str = "currents") -> None:
+    def __init__(self, name: str, context: SensorContext, conf: CurrentsConf) -> None:
+        num_wheels = context.carrier.num_joints
         self._name = name
         self._driving_a_per_nm = 1.0 / (conf.torque_constant_nm_per_a * conf.gear_ratio * conf.efficiency)
         self._driven_a_per_nm = self._driving_a_per_nm * conf.efficiency**2
         # Rounded, so that what is clipped stays within bounds that are float32.
         self._limit_a = float(np.float32(conf.limit_a))
         self._num_wheels = num_wheels
-        self._reading = np.zeros((num_rows, num_wheels), np.float32)
+        self._reading = np.zeros((context.num_rows, num_wheels), np.float32)
 
     def bounds(self) -> dict[str, Bounds]:
         """Both ways alike."""

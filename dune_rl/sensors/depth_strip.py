@@ -1,38 +1,44 @@
 """A strip of depths: how far the nearest thing lies in each of a few bearings."""
 
-from collections.abc import Sequence
-from typing import Self
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from dune_rl.core.settings import Settings
 from dune_rl.geometry.arrays import Array, Flags, Floats
-from dune_rl.geometry.batched import AnyRays
 from dune_rl.rendering.foliage import BatchedFoliage
-from dune_rl.rendering.moving_mesh import MovingMesh
-from dune_rl.rendering.participating_media import BeamMedia, ParticipatingMedia
+from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.lidar import Beams, check_elevations, fan
-from dune_rl.sensors.sensor import Bounds, Mount, Reading
+from dune_rl.sensors.realism.noise import NoiseConf
+from dune_rl.sensors.realism.pipeline import ReadingRealismConf
+from dune_rl.sensors.sensor import MOUNT, Bounds, Mount, Reading
+from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.state import GroupState, State
 
-_CLEAR = ParticipatingMedia()
 
-
-class DepthStripConf(Settings):
+class DepthStripConf(SensorSettings):
     """Columns side by side over `fov_deg`, each a fan of `rows` rays between two elevations; range and mount.
 
     On level ground a ray below the horizon ends on the ground, which limits
     what its column can tell: the defaults keep that just out of range.
     """
 
-    columns: int = Field(32, ge=1, le=4096)
-    rows: int = Field(4, ge=1, le=256)
-    fov_deg: float = Field(86.0, gt=0.0, le=360.0)
-    lowest_elevation_deg: float = Field(-3.4, ge=-90.0, le=90.0)
-    highest_elevation_deg: float = Field(13.8, ge=-90.0, le=90.0)
-    range_m: float = Field(5.0, gt=0.0, le=1_000.0)
-    mount_b: Mount = None
+    from_carrier: ClassVar = {"mount_b": "scanner_b"}
+    # An estimate.
+    default_realism: ClassVar = ReadingRealismConf(each=NoiseConf(noise=0.02))
+
+    sensor: Literal["depth_strip"] = "depth_strip"
+    columns: int = Field(32, ge=1, le=4096, description="bearings, each the nearest of a fan of rays")
+    rows: int = Field(4, ge=1, le=256, description="rays of a fan")
+    fov_deg: float = Field(
+        86.0, gt=0.0, le=360.0, description="angle that the columns span, centred ahead [deg]"
+    )
+    lowest_elevation_deg: float = Field(
+        -3.4, ge=-90.0, le=90.0, description="of a fan; keeps level ground just out of range [deg]"
+    )
+    highest_elevation_deg: float = Field(13.8, ge=-90.0, le=90.0, description="of a fan [deg]")
+    range_m: float = Field(5.0, gt=0.0, le=1_000.0, description="largest reading [m]")
+    mount_b: Mount = MOUNT
 
     @model_validator(mode="after")
     def _sound(self) -> Self:
@@ -51,24 +57,16 @@ class DepthStrip:
     does nothing to it.
     """
 
-    def __init__(
-        self,
-        conf: DepthStripConf,
-        solid: AnyRays,
-        meshes: Sequence[MovingMesh],
-        num_rows: int,
-        air: ParticipatingMedia | BeamMedia = _CLEAR,
-        name: str = "depth_strip",
-    ) -> None:
+    def __init__(self, name: str, context: SensorContext, conf: DepthStripConf) -> None:
         self.conf, self._name = conf, name
-        self._foliage = air.foliage
+        self._foliage = context.air.foliage
         bearing = np.deg2rad(conf.fov_deg) * ((np.arange(conf.columns) + 0.5) / conf.columns - 0.5)
         highest, lowest = np.deg2rad([conf.highest_elevation_deg, conf.lowest_elevation_deg])
         elevation = np.linspace(highest, lowest, conf.rows)
         self._level = np.cos(elevation)[:, None].astype(np.float32)
         directions_b = fan(bearing, elevation).reshape(-1, 3)
-        self._beams = Beams(directions_b, conf.mount_b, conf.range_m, solid, meshes)
-        self._reading: Floats = np.zeros((num_rows, conf.columns), np.float32)
+        self._beams = Beams(directions_b, conf.mount_b, conf.range_m, context.solid, context.meshes)
+        self._reading: Floats = np.zeros((context.num_rows, conf.columns), np.float32)
 
     def bounds(self) -> dict[str, Bounds]:
         """Depths up to the range."""

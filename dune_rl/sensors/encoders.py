@@ -1,18 +1,20 @@
 """Incremental encoders on the wheels: how far each has turned, in whole counts."""
 
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
-from dune_rl.core.settings import Settings
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import clip
+from dune_rl.sensors.context import SensorContext
+from dune_rl.sensors.realism.pipeline import EncoderRealismConf
 from dune_rl.sensors.sensor import Bounds, Reading, joints_of
+from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.state import GroupState, State
 
 
-class EncodersConf(Settings):
+class EncodersConf(SensorSettings):
     """Counts in a turn of the wheel, and the fastest that is counted; 0 counts is an encoder without steps.
 
     The default is what a six-step Hall sensor gives through the gears of the
@@ -20,8 +22,14 @@ class EncodersConf(Settings):
     takes 96 * 2 electrical turns of the motor for one of the wheel.
     """
 
-    counts_per_turn: int = Field(1152, ge=0, le=10_000_000)
-    max_speed_radps: float = Field(100.0, gt=0.0, le=10_000.0)
+    sensor: Literal["encoders"] = "encoders"
+    realism: EncoderRealismConf | None = None
+    counts_per_turn: int = Field(
+        1152, ge=0, le=10_000_000, description="counts in a turn of the wheel; 0: an encoder without steps"
+    )
+    max_speed_radps: float = Field(
+        100.0, gt=0.0, le=10_000.0, description="readings are clipped to this [rad/s]; odometry counts alike"
+    )
 
 
 class WheelCounter:
@@ -63,9 +71,8 @@ class Encoders:
 
     needs_joints: ClassVar[bool] = True
 
-    def __init__(
-        self, conf: EncodersConf, num_rows: int, num_wheels: int, step_s: float, name: str = "encoders"
-    ) -> None:
+    def __init__(self, name: str, context: SensorContext, conf: EncodersConf) -> None:
+        num_rows, num_wheels, step_s = context.num_rows, context.carrier.num_joints, context.step_s
         self._name = name
         self._counter = WheelCounter(conf, num_rows, num_wheels, step_s)
         self._step_s = step_s

@@ -1,6 +1,7 @@
 """Sensors made of a free function of the state."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -8,12 +9,20 @@ from numpy.typing import NDArray
 
 from dune_rl.core.errors import RegistryError
 from dune_rl.geometry.arrays import Flags, Floats
-from dune_rl.sensors.registry import ReadingBounds
 from dune_rl.sensors.sensor import Bounds, Reading
 from dune_rl.state.state import GroupState, State
 
 # f(state, group, *, params) -> (N, size) or, for a size of 1, (N,).
 SensorFunction = Callable[..., NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class ReadingBounds:
+    """What `dune_rl.sensor_bounds` states: a reading's size, and the lowest and highest of its entries."""
+
+    low: float | tuple[float, ...]
+    high: float | tuple[float, ...]
+    size: int = 1
 
 
 class FunctionSensor:

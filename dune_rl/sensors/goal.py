@@ -1,21 +1,37 @@
 """The goal sensor: distance and bearing of an agent's goal."""
 
+from typing import Literal
+
 import numpy as np
 
 from dune_rl.geometry.arrays import Flags, Floats
+from dune_rl.geometry.frames import wrap_angle
+from dune_rl.sensors.context import SensorContext
+from dune_rl.sensors.realism.pipeline import GoalRealismConf
 from dune_rl.sensors.sensor import PI32, Bounds, Reading
+from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.state import GroupState, State
 
 
-class Goal:
-    """The reading `name`, (N, 2): horizontal distance [m], at most `farthest_m`, and bearing [rad].
+class GoalConf(SensorSettings):
+    """A goal has nothing to set beside its realism."""
 
-    The bearing is measured from the agent's heading, counter-clockwise, in [-pi, pi).
+    sensor: Literal["goal"] = "goal"
+    realism: GoalRealismConf | None = None
+
+
+class Goal:
+    """The reading `name`, (N, 2): horizontal distance [m], at most the extent's diagonal, and bearing [rad].
+
+    The bearing is measured from the agent's heading, counter-clockwise, in [-pi, pi). A robot that navigates
+    by faulty instruments knows the goal's coordinates, its own position by its receiver, and its heading by
+    its inertial unit, unless this sensor has realism of its own.
     """
 
-    def __init__(self, num_rows: int, farthest_m: float, name: str = "goal") -> None:
-        self._name, self._farthest_m = name, farthest_m
-        self._reading: Floats = np.zeros((num_rows, 2), np.float32)
+    def __init__(self, name: str, context: SensorContext, conf: GoalConf) -> None:
+        self._name, self._farthest_m = name, context.diagonal_m
+        self._navigation = context.navigation if conf.realism is None else None
+        self._reading: Floats = np.zeros((context.num_rows, 2), np.float32)
 
     def bounds(self) -> dict[str, Bounds]:
         """Distances up to the farthest, and whole turns."""
@@ -28,9 +44,14 @@ class Goal:
 
     def measure(self, now: GroupState, state: State) -> None:
         """Read the present goal."""
-        reading = np.empty((len(now.goal.distance), 2), np.float32)
-        reading[:, 0] = np.minimum(now.goal.distance, self._farthest_m)
-        reading[:, 1] = now.goal.bearing
+        distance, bearing = now.goal.distance, now.goal.bearing
+        if self._navigation is not None:
+            offset = now.goal.position_w - self._navigation.receiver_position()
+            distance = np.hypot(offset[:, 0], offset[:, 1])
+            bearing = wrap_angle(np.arctan2(offset[:, 1], offset[:, 0]) - self._navigation.heading)
+        reading = np.empty((len(distance), 2), np.float32)
+        reading[:, 0] = np.minimum(distance, self._farthest_m)
+        reading[:, 1] = bearing
         self._reading = reading
 
     def read(self) -> dict[str, Reading]:

@@ -1,22 +1,24 @@
 """A grid of ground heights ahead of the rover."""
 
-from typing import Literal, Self
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from dune_rl.core.settings import Settings
 from dune_rl.geometry.arrays import Array, Flags, Floats
-from dune_rl.geometry.batched import AnyRays, AnyTerrain
 from dune_rl.geometry.frames import clip
+from dune_rl.sensors.context import SensorContext
+from dune_rl.sensors.realism.noise import NoiseConf
+from dune_rl.sensors.realism.pipeline import ReadingRealismConf
 from dune_rl.sensors.sensor import Bounds, Reading
+from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.state import GroupState, State
 
 # No hill or wall rises farther than this over a rover.
 _HIGHEST_M = 1_000.0
 
 
-class HeightScanConf(Settings):
+class HeightScanConf(SensorSettings):
     """Size and place of the grid, and what it shows.
 
     `ahead_m` is the distance of the first row ahead of the robot's origin.
@@ -27,14 +29,30 @@ class HeightScanConf(Settings):
     robot's origin over level ground, None the robot's own.
     """
 
-    rows: int = Field(11, ge=1, le=256)
-    columns: int = Field(11, ge=1, le=256)
-    spacing_m: float = Field(0.2, gt=0.0, le=10.0)
-    ahead_m: float = Field(0.4, ge=-100.0, le=100.0)
-    limit_m: float = Field(1.0, gt=0.0, le=100.0)
-    source: Literal["terrain", "solid"] = "solid"
-    above_m: float = Field(1.0, gt=0.0, le=100.0)
-    standing_height_m: float | None = Field(None, ge=0.0, le=10.0)
+    from_carrier: ClassVar = {"standing_height_m": "standing_height_m"}
+    # An estimate.
+    default_realism: ClassVar = ReadingRealismConf(each=NoiseConf(noise=0.02))
+
+    sensor: Literal["height_scan"] = "height_scan"
+    rows: int = Field(11, ge=1, le=256, description="points ahead")
+    columns: int = Field(11, ge=1, le=256, description="points across")
+    spacing_m: float = Field(0.2, gt=0.0, le=10.0, description="between neighbouring points [m]")
+    ahead_m: float = Field(
+        0.4, ge=-100.0, le=100.0, description="of the first row, from the robot's origin [m]"
+    )
+    limit_m: float = Field(1.0, gt=0.0, le=100.0, description="readings are clipped to this either way [m]")
+    source: Literal["terrain", "solid"] = Field(
+        "solid", description="what is scanned: all that is solid, or the bare terrain"
+    )
+    above_m: float = Field(
+        1.0, gt=0.0, le=100.0, description="what is wholly higher than this is overhead and not seen [m]"
+    )
+    standing_height_m: float | None = Field(
+        None,
+        ge=0.0,
+        le=10.0,
+        description="of the robot's origin over level ground [m]; null: the robot's own",
+    )
 
     @model_validator(mode="after")
     def _sees_its_limit(self) -> Self:
@@ -58,20 +76,13 @@ class HeightScan:
     Moving actors are not seen.
     """
 
-    def __init__(
-        self,
-        conf: HeightScanConf,
-        solid: AnyRays,
-        terrain: AnyTerrain,
-        num_rows: int,
-        name: str = "height_scan",
-    ) -> None:
+    def __init__(self, name: str, context: SensorContext, conf: HeightScanConf) -> None:
         self.conf, self._name = conf, name
-        self._solid, self._terrain = solid, terrain
+        self._solid, self._terrain = context.solid, context.terrain
         ahead = conf.ahead_m + conf.spacing_m * np.arange(conf.rows)
         left = conf.spacing_m * (np.arange(conf.columns) - (conf.columns - 1) / 2)
         self._grid = np.stack(np.meshgrid(ahead, left, indexing="ij"), axis=-1).reshape(-1, 2)
-        self._reading: Floats = np.zeros((num_rows, len(self._grid)), np.float32)
+        self._reading: Floats = np.zeros((context.num_rows, len(self._grid)), np.float32)
 
     def bounds(self) -> dict[str, Bounds]:
         """The limit both ways."""

@@ -1,25 +1,34 @@
 """An inertial measurement unit: accelerometer with gravity, gyroscope, orientation."""
 
-from typing import Any
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
 from dune_rl.core.constants import GRAVITY_MPS2
-from dune_rl.core.settings import Settings
 from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.geometry.compiled import compile_function
 from dune_rl.geometry.frames import cross
-from dune_rl.sensors.sensor import PI32, Bounds, Mount, Reading, mount_position
+from dune_rl.sensors.context import SensorContext
+from dune_rl.sensors.realism.pipeline import ImuRealismConf
+from dune_rl.sensors.sensor import MOUNT, PI32, Bounds, Mount, Reading, mount_position
+from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.state import GroupState, State
 
 
-class ImuConf(Settings):
+class ImuConf(SensorSettings):
     """Mount and ranges; readings beyond a range are clipped, as the part itself does."""
 
-    acceleration_range_mps2: float = Field(156.9, gt=GRAVITY_MPS2)
-    angular_range_radps: float = Field(34.9, gt=0.0)
-    mount_b: Mount = None
+    from_carrier: ClassVar = {"mount_b": "imu_b"}
+    default_realism: ClassVar = ImuRealismConf.model_validate("bno055")
+
+    sensor: Literal["imu"] = "imu"
+    realism: ImuRealismConf | None = None
+    acceleration_range_mps2: float = Field(
+        156.9, gt=GRAVITY_MPS2, description="readings are clipped to this [m/s²]"
+    )
+    angular_range_radps: float = Field(34.9, gt=0.0, description="readings are clipped to this [rad/s]")
+    mount_b: Mount = MOUNT
 
 
 class Imu:
@@ -120,10 +129,10 @@ def _take_reading(
 class ImuSensor:
     """The reading `name`, (N, 9): specific force, angular velocity and attitude; see `Imu.reading`."""
 
-    def __init__(self, conf: ImuConf, num_rows: int, step_s: float, name: str = "imu") -> None:
-        self._imu, self._name = Imu(conf, num_rows), name
-        self._step_s = step_s
-        self._reading = np.zeros((num_rows, 9), np.float32)
+    def __init__(self, name: str, context: SensorContext, conf: ImuConf) -> None:
+        self._imu, self._name = Imu(conf, context.num_rows), name
+        self._step_s = context.step_s
+        self._reading = np.zeros((context.num_rows, 9), np.float32)
 
     def bounds(self) -> dict[str, Bounds]:
         """The unit's ranges, and whole turns."""

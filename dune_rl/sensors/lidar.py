@@ -1,32 +1,44 @@
 """A planar LiDAR: many beams, of which the agent sees the nearest return in each segment."""
 
 from collections.abc import Sequence
-from typing import Self
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from dune_rl.core.settings import Settings
 from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.geometry.batched import AnyRays
 from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.sensors.beam_loops import find_ends, nearest_in_segments, turn_beams
 from dune_rl.sensors.mesh_columns import columns_by_mesh
-from dune_rl.sensors.sensor import Mount, mount_position
+from dune_rl.sensors.realism.lidar import LidarRealismConf
+from dune_rl.sensors.sensor import MOUNT, Mount, mount_position
+from dune_rl.sensors.settings import SensorSettings
 
 # Farther than any LiDAR sees.
 _NOWHERE_M = 1e6
 
 
-class LidarConf(Settings):
+class LidarConf(SensorSettings):
     """Beams, range and mount. The defaults are the paper's: 128 beams round the rover, 32 values, 12 m."""
 
-    n_beams: int = Field(128, ge=1, le=16_384)
-    n_segments: int = Field(32, ge=1, le=16_384)
-    range_m: float = Field(12.0, gt=0.0, le=1_000.0)
-    min_range_m: float = Field(0.1, ge=0.0)
-    fov_deg: float = Field(360.0, gt=0.0, le=360.0)
-    mount_b: Mount = None
+    from_carrier: ClassVar = {"mount_b": "scanner_b"}
+    default_realism: ClassVar = LidarRealismConf.model_validate("rplidar_a2m8")
+
+    sensor: Literal["lidar"] = "lidar"
+    realism: LidarRealismConf | None = None
+    n_beams: int = Field(128, ge=1, le=16_384, description="beams of a scan")
+    n_segments: int = Field(
+        32, ge=1, le=16_384, description="values observed: the nearest return of equal runs of beams"
+    )
+    range_m: float = Field(
+        12.0, gt=0.0, le=1_000.0, description="largest reading, and the reading where nothing is hit [m]"
+    )
+    min_range_m: float = Field(0.1, ge=0.0, description="smallest reading [m]")
+    fov_deg: float = Field(
+        360.0, gt=0.0, le=360.0, description="angle that the scan spans, centred ahead [deg]"
+    )
+    mount_b: Mount = MOUNT
 
     @model_validator(mode="after")
     def _even_segments(self) -> Self:

@@ -1,57 +1,58 @@
 """A LiDAR of rings: range, intensity and segment of every beam."""
 
-from collections.abc import Sequence
-from typing import Literal, Protocol, Self
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from dune_rl.core.settings import Settings
 from dune_rl.geometry.arrays import Array, Flags, Floats
-from dune_rl.geometry.batched import AnyRays, BatchedRayScenes
-from dune_rl.rendering.beam_surface import BatchedBeamSurfaces, BeamSurface, luminance
-from dune_rl.rendering.moving_mesh import MovingMesh
-from dune_rl.rendering.participating_media import BeamMedia, ParticipatingMedia
+from dune_rl.geometry.batched import BatchedRayScenes
+from dune_rl.rendering.beam_surface import luminance
 from dune_rl.rendering.scenery import Segment
+from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.lidar import bearings, check_elevations, fan
 from dune_rl.sensors.medium import effects_of
 from dune_rl.sensors.mesh_columns import columns_by_mesh
-from dune_rl.sensors.sensor import Bounds, Mount, Reading, mount_position
+from dune_rl.sensors.realism.lidar import BeamFaults, LidarRealismConf
+from dune_rl.sensors.sensor import MOUNT, Bounds, Mount, Reading, mount_position
+from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.state import GroupState, State
 
 Indices = NDArray[np.int64]
 
-_CLEAR = ParticipatingMedia()
-
-
-class RangeFaults(Protocol):
-    """What a real part makes of ranges; see `realism_lidar.BeamFaults`."""
-
-    def applied(self, ranges: Floats, now: GroupState) -> Floats:
-        """`ranges` (M, N) [m] with faults."""
-        ...
-
-
 Lidar3dOutput = Literal["range", "intensity", "segmentation"]
 
 
-class Lidar3dConf(Settings):
+class Lidar3dConf(SensorSettings):
     """Rings, beams, range and mount. The defaults are like a common sensor of 16 rings over 30 degrees.
 
     At `half_intensity_m` a return is half as bright as close by.
     """
 
-    n_rings: int = Field(16, ge=1, le=256)
-    n_beams: int = Field(512, ge=1, le=16_384)
-    lowest_elevation_deg: float = Field(-15.0, ge=-90.0, le=90.0)
-    highest_elevation_deg: float = Field(15.0, ge=-90.0, le=90.0)
-    range_m: float = Field(30.0, gt=0.0, le=1_000.0)
-    min_range_m: float = Field(0.1, ge=0.0)
-    fov_deg: float = Field(360.0, gt=0.0, le=360.0)
-    half_intensity_m: float = Field(10.0, gt=0.0, le=1_000.0)
-    mount_b: Mount = None
-    outputs: tuple[Lidar3dOutput, ...] = Field(("range",), min_length=1)
+    from_carrier: ClassVar = {"mount_b": "scanner_b"}
+    default_realism: ClassVar = LidarRealismConf.model_validate("velodyne_vlp16")
+
+    sensor: Literal["lidar_3d"] = "lidar_3d"
+    realism: LidarRealismConf | None = None
+    n_rings: int = Field(16, ge=1, le=256, description="from the highest to the lowest")
+    n_beams: int = Field(512, ge=1, le=16_384, description="of a ring")
+    lowest_elevation_deg: float = Field(-15.0, ge=-90.0, le=90.0, description="of the lowest ring [deg]")
+    highest_elevation_deg: float = Field(15.0, ge=-90.0, le=90.0, description="of the highest [deg]")
+    range_m: float = Field(
+        30.0, gt=0.0, le=1_000.0, description="largest reading, and the reading where nothing returns [m]"
+    )
+    min_range_m: float = Field(0.1, ge=0.0, description="smallest reading [m]")
+    fov_deg: float = Field(
+        360.0, gt=0.0, le=360.0, description="angle that a ring spans, centred ahead [deg]"
+    )
+    half_intensity_m: float = Field(
+        10.0, gt=0.0, le=1_000.0, description="where a return is half as bright as close by [m]"
+    )
+    mount_b: Mount = MOUNT
+    outputs: tuple[Lidar3dOutput, ...] = Field(
+        ("range",), min_length=1, description="of range, intensity and segmentation"
+    )
 
     @model_validator(mode="after")
     def _sound(self) -> Self:
@@ -64,7 +65,7 @@ class Lidar3dConf(Settings):
 
 
 class Lidar3d:
-    """The readings "lidar_3d_<output>", (M, n_rings, n_beams, 1), of M rovers.
+    """The readings "<name>_<output>", (N, n_rings, n_beams, 1).
 
     The first ring is the highest; beams run counter-clockwise from -fov/2, as
     those of the planar LiDAR. `range` [m] is `range_m` where nothing returns;
@@ -74,28 +75,15 @@ class Lidar3d:
     half_intensity_m)². That is the LiDAR equation's inverse square far away,
     and even close by, where receivers see only part of their beam.
 
-    `solid` is the ray scene of the static world and `surface` that of its
-    faces; `meshes` has one entry per actor. The rover itself is in neither.
-    What a beam meets in the `air` counts as VEGETATION where it is grass; a
+    The robot itself is not seen. What a beam meets in the air counts as VEGETATION where it is grass; a
     false return of haze is faint and has the segment SKY.
     """
 
-    def __init__(
-        self,
-        conf: Lidar3dConf,
-        solid: AnyRays,
-        surface: BeamSurface | BatchedBeamSurfaces,
-        meshes: Sequence[MovingMesh],
-        num_rows: int,
-        air: ParticipatingMedia | BeamMedia = _CLEAR,
-        faults: RangeFaults | None = None,
-        name: str = "lidar_3d",
-    ) -> None:
+    def __init__(self, name: str, context: SensorContext, conf: Lidar3dConf) -> None:
         self.conf = conf
-        self._name, self._num_rows = name, num_rows
-        self._faults = faults
-        self._solid, self._surface = solid, surface
-        self._groups = columns_by_mesh(meshes)
+        self._name, self._num_rows = name, context.num_rows
+        self._solid, self._surface = context.solid, context.surfaces
+        self._groups = columns_by_mesh(context.meshes)
         self._brightness = [luminance(mesh.albedo) for mesh, _ in self._groups]
         highest, lowest, fov = np.deg2rad(
             [conf.highest_elevation_deg, conf.lowest_elevation_deg, conf.fov_deg]
@@ -106,10 +94,12 @@ class Lidar3d:
         self._order = np.arange(len(self._directions_b))
         limits_m = (conf.min_range_m, conf.range_m)
         draws_name = name.replace("_", " ")
-        self._effects = effects_of(air, draws_name, self._directions_b, conf.mount_b, limits_m)
+        self._faults = None if conf.realism is None else BeamFaults(conf.realism, limits_m, draws_name)
+        self._effects = effects_of(context.air, draws_name, self._directions_b, conf.mount_b, limits_m)
         self._range_only = conf.outputs == ("range",)
         self._readings: dict[str, Reading] = {
-            name: np.zeros((num_rows, *low.shape), low.dtype) for name, (low, _) in self.bounds().items()
+            name: np.zeros((context.num_rows, *low.shape), low.dtype)
+            for name, (low, _) in self.bounds().items()
         }
 
     def bounds(self) -> dict[str, Bounds]:

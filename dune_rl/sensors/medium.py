@@ -1,6 +1,5 @@
 """What a LiDAR's beams meet on their way: haze, which loses returns and gives false ones, and tall grass."""
 
-from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
@@ -32,19 +31,6 @@ class RangeEffect(Protocol):
     def applied(self, ranges: Floats, now: GroupState) -> Floats:
         """`ranges` (M, N) [m] of N beams on each rover, as they are then; they depend on the moment alone."""
         ...
-
-
-class Compose:
-    """Several effects, each on what the one before has left."""
-
-    def __init__(self, effects: Sequence[RangeEffect]) -> None:
-        self._effects = tuple(effects)
-
-    def applied(self, ranges: Floats, now: GroupState) -> Floats:
-        """`ranges` (M, N) [m] after all of them."""
-        for effect in self._effects:
-            ranges = effect.applied(ranges, now)
-        return ranges
 
 
 class InHaze:

@@ -5,13 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dune_rl.geometry.arrays import Array, Flags, Floats
-from dune_rl.geometry.frames import rotation_from_angles, wrap_angle
-from dune_rl.sensors.sensor import PI32, Bounds, Reading, Sensor
-from dune_rl.sensors.velocity import MAX_SENSED_SPEED_MPS, MAX_SENSED_TURN_RADPS
+from dune_rl.geometry.arrays import Array, Flags
+from dune_rl.geometry.frames import rotation_from_angles
+from dune_rl.sensors.sensor import Sensor
 from dune_rl.state.state import GroupState, State
 
-_ODOMETRY_SPEED = 3
 _GYROSCOPE, _ATTITUDE = slice(3, 6), slice(6, 9)
 
 
@@ -74,68 +72,3 @@ class Navigation:
     def receiver_position(self) -> Array:
         """Horizontal position by the receiver [m], (N, 2)."""
         return self.instruments["position"].read()["position"][:, :2].astype(np.float64)
-
-
-class EstimatedVelocity:
-    """The reading "velocity", (N, 2): speed by `speed` [m/s] and yaw rate by the inertial unit [rad/s].
-
-    `speed` is wheel odometry, or a velocity sensor on a body without wheels. Neither is read here: they must
-    have been read before.
-    """
-
-    def __init__(self, speed: Sensor, imu: Sensor, num_rows: int) -> None:
-        self._speed, self._imu = speed, imu
-        self._highest = np.array([MAX_SENSED_SPEED_MPS, MAX_SENSED_TURN_RADPS], np.float32)
-        self._reading: Floats = np.zeros((num_rows, 2), np.float32)
-
-    def bounds(self) -> dict[str, Bounds]:
-        """As of the true velocity."""
-        return {"velocity": (-self._highest, self._highest)}
-
-    def begin(self, mask: Flags, now: GroupState, state: State) -> None:
-        """As `measure`: nothing is remembered."""
-        self.measure(now, state)
-
-    def measure(self, now: GroupState, state: State) -> None:
-        """Take both from the latest readings."""
-        speed = self._speed.read()
-        ahead = speed["odometry"][:, _ODOMETRY_SPEED] if "odometry" in speed else speed["velocity"][:, 0]
-        reading = np.stack([ahead, self._imu.read()["imu"][:, 5]], axis=1)
-        self._reading = np.minimum(np.maximum(reading, -self._highest), self._highest)
-
-    def read(self) -> dict[str, Reading]:
-        """The latest speed and yaw rate."""
-        return {"velocity": self._reading.copy()}
-
-
-class EstimatedGoal:
-    """The reading `name`, (N, 2): distance [m] and bearing [rad] of the goal by the robot's own position.
-
-    The goal's coordinates are known; where the robot is, it knows by its receiver, and its heading by its
-    inertial unit. Distances are at most `farthest_m`.
-    """
-
-    def __init__(self, navigation: Navigation, num_rows: int, farthest_m: float, name: str = "goal") -> None:
-        self._navigation, self._farthest_m, self._name = navigation, farthest_m, name
-        self._reading: Floats = np.zeros((num_rows, 2), np.float32)
-
-    def bounds(self) -> dict[str, Bounds]:
-        """As of the true goal."""
-        low, high = [0.0, -PI32], [self._farthest_m, PI32]
-        return {self._name: (np.array(low, np.float32), np.array(high, np.float32))}
-
-    def begin(self, mask: Flags, now: GroupState, state: State) -> None:
-        """As `measure`: nothing is remembered."""
-        self.measure(now, state)
-
-    def measure(self, now: GroupState, state: State) -> None:
-        """Compute both from the latest readings of the navigation."""
-        offset = now.goal.position_w - self._navigation.receiver_position()
-        reading = np.empty((len(offset), 2), np.float32)
-        reading[:, 0] = np.minimum(np.hypot(offset[:, 0], offset[:, 1]), self._farthest_m)
-        reading[:, 1] = wrap_angle(np.arctan2(offset[:, 1], offset[:, 0]) - self._navigation.heading)
-        self._reading = reading
-
-    def read(self) -> dict[str, Reading]:
-        """The latest distance and bearing."""
-        return {self._name: self._reading.copy()}

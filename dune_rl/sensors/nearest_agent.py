@@ -1,46 +1,48 @@
 """The nearest-agent sensor: where the nearest agent of other groups is, and how it moves."""
 
+from typing import ClassVar, Literal
+
 import numpy as np
 from pydantic import Field
 
-from dune_rl.core.settings import Settings
 from dune_rl.geometry.arrays import Flags, Floats
 from dune_rl.geometry.frames import clip, wrap_angle
-from dune_rl.sensors.others import find_others
-from dune_rl.sensors.sensor import PI32, Bounds, Reading
+from dune_rl.sensors.context import SensorContext
+from dune_rl.sensors.realism.noise import NoiseConf
+from dune_rl.sensors.realism.pipeline import ReadingRealismConf
+from dune_rl.sensors.sensed_agents import sense_agents
+from dune_rl.sensors.sensor import MAX_SENSED_SPEED_MPS, PI32, Bounds, Reading
+from dune_rl.sensors.settings import SensorSettings
 from dune_rl.sensors.velocity import heading_frame
 from dune_rl.state.state import GroupState, State
 
 
-class NearestAgentConf(Settings):
+class NearestAgentConf(SensorSettings):
     """Which groups are looked at; none named: all groups but the sensor's own.
 
     Where the sensor's own group is named, each agent looks at the other agents of it.
     """
 
+    default_realism: ClassVar = ReadingRealismConf(each=NoiseConf(noise=0.05))
+
+    sensor: Literal["nearest_agent"] = "nearest_agent"
     groups: tuple[str, ...] = Field((), description="groups that are looked at; none: all but its own")
 
 
 class NearestAgent:
     """The reading `name`, (N, 4): distance [m], bearing [rad] and relative velocity (2) of the nearest agent.
 
-    Distance is horizontal, from origin to origin, at most `farthest_m`. The bearing is measured from the own
-    heading, in [-pi, pi). The velocity is the other's minus the own [m/s], forward and left in the frame of
-    the own heading, each component at most `max_closing_mps` either way. Without another agent the reading
-    is (`farthest_m`, 0, 0, 0).
+    Distance is horizontal, from origin to origin, at most the diagonal of the extent. The bearing is measured
+    from the own heading, in [-pi, pi). The velocity is the other's minus the own [m/s], forward
+    and left in the frame of the own heading, each component at most 10 m/s more than the body's top speed.
+    Without another agent the reading is (the diagonal, 0, 0, 0).
     """
 
-    def __init__(
-        self,
-        conf: NearestAgentConf,
-        num_rows: int,
-        farthest_m: float,
-        max_closing_mps: float,
-        name: str = "nearest_agent",
-    ) -> None:
+    def __init__(self, name: str, context: SensorContext, conf: NearestAgentConf) -> None:
         self._groups, self._name = conf.groups, name
-        self._farthest_m, self._max_closing_mps = farthest_m, max_closing_mps
-        self._reading: Floats = np.zeros((num_rows, 4), np.float32)
+        self._farthest_m = context.diagonal_m
+        self._max_closing_mps = MAX_SENSED_SPEED_MPS + context.carrier.max_speed_mps
+        self._reading: Floats = np.zeros((context.num_rows, 4), np.float32)
 
     def bounds(self) -> dict[str, Bounds]:
         """Distances up to the farthest, whole turns, and closing speeds."""
@@ -56,7 +58,7 @@ class NearestAgent:
         """Find the nearest agent of each row and read its motion."""
         reading = np.zeros((len(self._reading), 4), np.float32)
         names = self._groups or tuple(name for name in state.groups if name != now.name)
-        others = find_others(names, now, state)
+        others = sense_agents(names, now, state)
         position, velocity, present = others.position_w, others.velocity_w, others.present
         if position.shape[1] == 0:
             reading[:, 0] = self._farthest_m

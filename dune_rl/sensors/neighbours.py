@@ -1,25 +1,33 @@
 """The neighbours sensor: a list of the nearest other agents, of all groups."""
 
+from typing import ClassVar, Literal
+
 import numpy as np
 from pydantic import Field
 
-from dune_rl.core.settings import Settings
 from dune_rl.geometry.arrays import Flags, Floats
 from dune_rl.geometry.frames import clip
-from dune_rl.sensors.others import find_goals, find_others
-from dune_rl.sensors.sensor import Bounds, Reading
+from dune_rl.sensors.context import SensorContext
+from dune_rl.sensors.realism.noise import NoiseConf
+from dune_rl.sensors.realism.pipeline import ReadingRealismConf
+from dune_rl.sensors.sensed_agents import sense_agents, sense_goals
+from dune_rl.sensors.sensor import MAX_SENSED_SPEED_MPS, Bounds, Reading
+from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.state import GroupState, State
 
 # Of each neighbour, without and with the goals of robots.
 _VALUES, _VALUES_WITH_GOAL = 7, 9
 
 
-class NeighboursConf(Settings):
+class NeighboursConf(SensorSettings):
     """How many agents are listed, and which groups are looked at; none named: all, the own one included.
 
     `goals` adds the goal position of each robot.
     """
 
+    default_realism: ClassVar = ReadingRealismConf(each=NoiseConf(noise=0.05))
+
+    sensor: Literal["neighbours"] = "neighbours"
     number: int = Field(4, ge=1, le=64, description="agents listed, the nearest first")
     range_m: float = Field(10.0, gt=0.0, le=1_000.0, description="who is farther is not listed [m]")
     groups: tuple[str, ...] = Field((), description="groups that are looked at; none: all, its own too")
@@ -31,18 +39,17 @@ class Neighbours:
 
     It is (N, 7 k), or (N, 9 k) with `goals`. Of each agent it has 1 for present, the place forward and to the
     left of the own origin [m], the velocity relative to the own, forward and left [m/s], each component at
-    most `max_closing_mps` either way, the radius in plan view [m], and 1 for a robot. With `goals` there
-    follows the place of a robot's goal, forward and left [m], and 0 for others; each component is at most
-    `range_m` either way, which bends the direction to goals farther away. Directions are in the frame of the
-    own heading, distances horizontal, from origin to origin. Where there are fewer agents, the rest is 0.
+    most 10 m/s more than the body's top speed, the radius in plan view [m], and 1 for a robot. With `goals`
+    there follows the place of a robot's goal, forward and left [m], 0 for other agents; each component is at
+    most `range_m` either way, which bends the direction to goals farther away. Directions are in the frame of
+    the own heading, distances horizontal, from origin to origin. Where there are fewer agents, the rest is 0.
     """
 
-    def __init__(
-        self, conf: NeighboursConf, num_rows: int, max_closing_mps: float, name: str = "neighbours"
-    ) -> None:
-        self._conf, self._name, self._max_closing_mps = conf, name, max_closing_mps
+    def __init__(self, name: str, context: SensorContext, conf: NeighboursConf) -> None:
+        self._conf, self._name = conf, name
+        self._max_closing_mps = MAX_SENSED_SPEED_MPS + context.carrier.max_speed_mps
         self._values = _VALUES_WITH_GOAL if conf.goals else _VALUES
-        self._reading: Floats = np.zeros((num_rows, conf.number * self._values), np.float32)
+        self._reading: Floats = np.zeros((context.num_rows, conf.number * self._values), np.float32)
 
     def bounds(self) -> dict[str, Bounds]:
         """Places within the range, closing speeds, and radii up to the range."""
@@ -59,7 +66,7 @@ class Neighbours:
     def measure(self, now: GroupState, state: State) -> None:
         """List the agents of each row."""
         names = self._conf.groups or tuple(state.groups)
-        others = find_others(names, now, state)
+        others = sense_agents(names, now, state)
         number = min(self._conf.number, others.present.shape[1])
         reading = np.zeros((len(self._reading), self._conf.number, self._values))
         own = now.motion.position_w[:, None, :2]
@@ -73,7 +80,7 @@ class Neighbours:
         far = self._conf.range_m
         listed = [(1, offset, far), (3, closing, self._max_closing_mps)]
         if self._conf.goals:
-            to_goal = np.where(others.is_robot[:, None], find_goals(names, now, state) - own, 0.0)
+            to_goal = np.where(others.is_robot[:, None], sense_goals(names, now, state) - own, 0.0)
             listed.append((_VALUES, to_goal, far))
         for first, vectors, limit in listed:
             x, y = (np.take_along_axis(vectors[..., axis], nearest, axis=1) for axis in (0, 1))

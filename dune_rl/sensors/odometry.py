@@ -2,24 +2,34 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
-from dune_rl.core.settings import Settings
+from dune_rl.core.errors import ConfigError
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import clip, wrap_angle
+from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.encoders import EncodersConf, WheelCounter
+from dune_rl.sensors.realism.pipeline import OdometryRealismConf
 from dune_rl.sensors.sensor import PI32, Bounds, Reading, joints_of
+from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.sensor_carrier import WheelMotion
 from dune_rl.state.state import GroupState, State
 
 
-class OdometryConf(Settings):
-    """How far the position is told: x and y are clipped to ± `range_m`."""
+class OdometryConf(SensorSettings):
+    """Limit of the position; the wheels' turns are counted as by the sensor `encoders`."""
 
-    range_m: float = Field(100.0, gt=0.0, le=1_000_000.0)
+    sensor: Literal["odometry"] = "odometry"
+    realism: OdometryRealismConf | None = None
+    range_m: float = Field(
+        100.0,
+        gt=0.0,
+        le=1_000_000.0,
+        description="x and y since the episode's start are clipped to this either way [m]",
+    )
 
 
 @dataclass(frozen=True)
@@ -82,16 +92,14 @@ class Odometry:
 
     needs_joints: ClassVar[bool] = True
 
-    def __init__(
-        self,
-        conf: OdometryConf,
-        encoders: EncodersConf,
-        geometry: WheelMotion,
-        num_rows: int,
-        num_wheels: int,
-        step_s: float,
-        name: str = "odometry",
-    ) -> None:
+    def __init__(self, name: str, context: SensorContext, conf: OdometryConf) -> None:
+        geometry: WheelMotion | None = context.carrier.drive
+        if geometry is None:
+            raise ConfigError(
+                f"odometry is of wheels, and this robot has none; leave {name} out of its sensors"
+            )
+        encoders: EncodersConf = context.settings_of("encoders")
+        num_rows, num_wheels, step_s = context.num_rows, context.carrier.num_joints, context.step_s
         self._name = name
         if geometry.num_wheels > num_wheels:
             raise ValueError(

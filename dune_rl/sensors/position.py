@@ -1,20 +1,24 @@
 """Position and heading in the world, as a satellite receiver and a compass tell them."""
 
+from typing import ClassVar, Literal
+
 import numpy as np
 from pydantic import Field
 
-from dune_rl.core.settings import Settings
 from dune_rl.geometry.arrays import Flags, Floats
 from dune_rl.geometry.frames import clip
+from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.draws import normal
+from dune_rl.sensors.realism.pipeline import PositionRealismConf
 from dune_rl.sensors.sensor import PI32, Bounds, Reading
+from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.state import GroupState, State
 
 # An error beyond this many standard deviations, one reading in 16,000, is clipped at the world's edge.
 _FARTHEST_DRIFT = 4.0
 
 
-class PositionConf(Settings):
+class PositionConf(SensorSettings):
     """A slow error of the position, as satellites' orbits and the air make it; without one it is the true.
 
     The drifts are standard deviations, of x and y each and of z. An error fades
@@ -22,27 +26,32 @@ class PositionConf(Settings):
     (a Gauss-Markov process of first order).
     """
 
-    drift_horizontal_m: float = Field(0.0, ge=0.0, le=1_000.0)
-    drift_vertical_m: float = Field(0.0, ge=0.0, le=1_000.0)
-    drift_time_s: float = Field(60.0, gt=0.0, le=100_000.0)
+    default_realism: ClassVar = PositionRealismConf.model_validate("zed_f9p")
+
+    sensor: Literal["position"] = "position"
+    realism: PositionRealismConf | None = None
+    drift_horizontal_m: float = Field(
+        0.0,
+        ge=0.0,
+        le=1_000.0,
+        description="standard deviation of the slow error of x and of y [m]; 0 is the true position",
+    )
+    drift_vertical_m: float = Field(
+        0.0, ge=0.0, le=1_000.0, description="standard deviation of the slow error of z [m]"
+    )
+    drift_time_s: float = Field(
+        60.0, gt=0.0, le=100_000.0, description="time in which an error fades to 1/e [s]"
+    )
 
 
 class Position:
-    """The reading "position", (M, 4): x, y, z of the chassis centre [m] and yaw [rad] in the world frame.
+    """The reading `name`, (N, 4): x, y, z of the body's origin [m] and yaw [rad] in the world frame.
 
-    `extent` (xmin, xmax, ymin, ymax) and `heights` (zmin, zmax) [m] are where a
-    rover can be; readings are clipped to them, and to what the drift adds.
+    Readings are clipped to the extent and heights of the world, and to what the drift adds.
     """
 
-    def __init__(
-        self,
-        conf: PositionConf,
-        extent: tuple[float, float, float, float],
-        heights: tuple[float, float],
-        num_rows: int,
-        step_s: float,
-        name: str = "position",
-    ) -> None:
+    def __init__(self, name: str, context: SensorContext, conf: PositionConf) -> None:
+        extent, heights, step_s = context.extent, context.heights, context.step_s
         self._name, self._drift_name = name, f"{name}_drift"
         xmin, xmax, ymin, ymax = extent
         low, high = np.array([xmin, ymin, heights[0]]), np.array([xmax, ymax, heights[1]])
@@ -57,12 +66,12 @@ class Position:
         self._kept = float(np.exp(-step_s / conf.drift_time_s))
         # What is new each step keeps the spread as it is.
         self._renewed = float(np.sqrt(-np.expm1(-2 * step_s / conf.drift_time_s)))
-        self._drift = np.zeros((num_rows, 3))
+        self._drift = np.zeros((context.num_rows, 3))
         reach = _FARTHEST_DRIFT * self._spread
         # In float64 for clipping, yet rounded: what is clipped stays within bounds that are float32.
         self._low = np.append(low - reach, -PI32).astype(np.float32).astype(np.float64)
         self._high = np.append(high + reach, PI32).astype(np.float32).astype(np.float64)
-        self._reading = np.zeros((num_rows, 4), np.float32)
+        self._reading = np.zeros((context.num_rows, 4), np.float32)
 
     def bounds(self) -> dict[str, Bounds]:
         """The world's, widened by the drift's reach, and whole turns."""
@@ -94,8 +103,3 @@ class Position:
     def read(self) -> dict[str, Reading]:
         """The latest pose."""
         return {self._name: self._reading.copy()}
-
-
-def _draws(now: GroupState) -> Floats:
-    """Standard normal numbers (M, 3) of the present steps of the episodes."""
-    return normal(now.episode.seed, "position_drift", now.episode.streams, now.episode.steps, 3)

@@ -1,66 +1,35 @@
 """The sensors there are: ours, those of installed packages, and those that a program registers."""
 
-import importlib
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from pydantic import SerializeAsAny, field_validator
 
 from dune_rl.core.errors import RegistryError
-from dune_rl.core.registry import RegisteredPart, Registry
-from dune_rl.core.settings import Settings
+from dune_rl.core.registry import Registry
 from dune_rl.core.signatures import PartSignature
-from dune_rl.sensors.realism.pipeline import ReadingRealismConf, RealismConf
+from dune_rl.sensors.context import SensorContext
+from dune_rl.sensors.function_sensor import FunctionSensor, ReadingBounds
 from dune_rl.sensors.sensor import Sensor
+from dune_rl.sensors.settings import SensorSettings
 
-_KINDS = "dune_rl.sensors.kinds"
-_OWN = (
-    "camera",
-    "currents",
-    "depth_strip",
-    "encoders",
-    "goal",
-    "height_scan",
-    "imu",
-    "lidar",
-    "lidar_3d",
-    "nearest_agent",
-    "neighbours",
-    "odometry",
-    "planar_velocity",
-    "position",
-    "velocity",
-)
-
-
-@dataclass(frozen=True)
-class ReadingBounds:
-    """What `dune_rl.sensor_bounds` states: a reading's size, and the lowest and highest of its entries."""
-
-    low: float | tuple[float, ...]
-    high: float | tuple[float, ...]
-    size: int = 1
-
-
-class SensorSettings(Settings):
-    """Settings of a sensor: `sensor` names its kind, `realism` has the faults of a real part."""
-
-    sensor: str
-    realism: SerializeAsAny[RealismConf] | None = None
-
-    @field_validator("realism", mode="before")
-    @classmethod
-    def _of_its_kind(cls, value: Any) -> Any:
-        if value is None or isinstance(value, RealismConf):
-            return value
-        known: Any = ReadingRealismConf
-        name = cls.model_fields["sensor"].default
-        if name in _OWN:
-            known = importlib.import_module(_KINDS).SENSOR_KINDS[name].realism
-        if known is None:
-            raise ValueError(f"a sensor of the kind {name} has no realism: leave it out")
-        return known.model_validate(value)
+_OWN = {
+    "camera": "camera_sensor:CameraSensor",
+    "currents": "currents:Currents",
+    "depth_strip": "depth_strip:DepthStrip",
+    "encoders": "encoders:Encoders",
+    "goal": "goal:Goal",
+    "height_scan": "height_scan:HeightScan",
+    "imu": "imu:ImuSensor",
+    "lidar": "lidar_sensor:LidarSensor",
+    "lidar_3d": "lidar_3d:Lidar3d",
+    "lidar_past": "lidar_sensor:LidarPast",
+    "nearest_agent": "nearest_agent:NearestAgent",
+    "neighbours": "neighbours:Neighbours",
+    "odometry": "odometry:Odometry",
+    "planar_velocity": "velocity:PlanarVelocity",
+    "position": "position:Position",
+    "velocity": "velocity:Velocity",
+}
 
 
 class SensorRegistry(Registry[Sensor]):
@@ -74,7 +43,7 @@ class SensorRegistry(Registry[Sensor]):
         super().__init__(
             "sensor",
             "dune_rl.sensors.registry:SENSORS",
-            own=dict.fromkeys(_OWN, f"{_KINDS}:SENSOR_KINDS"),
+            own={name: f"dune_rl.sensors.{path}" for name, path in _OWN.items()},
             base=SensorSettings,
             product=Sensor,
             returned=np.ndarray,
@@ -84,12 +53,14 @@ class SensorRegistry(Registry[Sensor]):
             tag="sensor",
         )
 
-    def _read_own(self, name: str) -> RegisteredPart:
-        # Ours are built from a request, which has more than the settings: see `SensorKind`.
-        kind = importlib.import_module(_KINDS).SENSOR_KINDS[name]
-        signature = PartSignature(kind.build, False, {}, "conf", kind.settings)
-        origin = f"the sensor {name!r} of dune_rl"
-        return self._with_derived_settings(kind.build, name, signature, origin, is_own=True)
+    def build_sensor(self, conf: SensorSettings, name: str, context: SensorContext) -> Sensor:
+        """The sensor `name` of these settings, without rate, latency and noise."""
+        part = self.part_of(conf)
+        if part.signature.is_class:
+            return self.build(conf, name, context)
+        bounds: ReadingBounds = part.target.sensor_bounds  # type: ignore[attr-defined]
+        params = part.signature.arguments(conf)
+        return FunctionSensor(name, part.target, context.num_rows, bounds, params, part.origin)
 
     def _signature_of(self, target: Any, name: str, origin: str) -> PartSignature:
         signature = super()._signature_of(target, name, origin)

@@ -4,6 +4,7 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.state.state import GroupState, JointState, State
@@ -11,8 +12,13 @@ from dune_rl.state.state import GroupState, JointState, State
 Reading = NDArray[Any]
 # Forward, left and up of the body's origin [m]; None is where the body carries such a sensor.
 Mount = tuple[float, float, float] | None
+MOUNT: Any = Field(
+    None, description="forward, left and up of the robot's origin [m]; null: where the robot carries it"
+)
 # Lowest and highest value of every entry of a reading, in its own shape and type.
 Bounds = tuple[Reading, Reading]
+MAX_SENSED_SPEED_MPS = 10.0
+MAX_SENSED_TURN_RADPS = 34.9
 # The smallest float32 that no angle in [-pi, pi] exceeds.
 PI32 = np.nextafter(np.float32(np.pi), np.float32(4.0))
 

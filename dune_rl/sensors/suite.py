@@ -1,64 +1,81 @@
 """The sensors of one agent group, read once a control step; their readings make the observation."""
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.geometry.arrays import Flags
-from dune_rl.sensors.conf import SensorsConf
 from dune_rl.sensors.context import SensorContext
-from dune_rl.sensors.kinds import SensorRequest, build_navigation, build_sensor
 from dune_rl.sensors.navigation import ControllerMotion, Navigation
+from dune_rl.sensors.realism.pipeline import RealismConf, realistic
+from dune_rl.sensors.registry import SENSORS
 from dune_rl.sensors.sensor import Bounds, Reading, Sensor
+from dune_rl.sensors.settings import SensorSettings
+from dune_rl.sensors.velocity import LEG_SPEED, EstimatedVelocity
 from dune_rl.state.state import GroupState, Motion, State
 
 
 class SensorSuite:
-    """The sensors that `conf` enables, for the N agents of one group.
+    """The sensors of `conf` for the N agents of one group.
 
-    `conf` has mounts where the carrier has them. `bounds` are the lowest and highest values of each reading,
-    in the order of the observation. `needs_joints` tells whether a sensor reads the joints' state.
-    `navigation` is what the robots know of their own motion where any sensor has the faults of a real part,
-    else None.
+    `settings` are those of `conf` with the carrier's mounts, and realism for all sensors if any has it.
+    `sensors` have those that are read, each after the sensors that it reads itself. `bounds` are the lowest
+    and highest values of each reading, in the order of the observation. `needs_joints` tells whether a sensor
+    reads the joints' state. `navigation` is what the robots know of their own motion where any sensor has the
+    faults of a real device, else None.
 
     Raises ConfigError for a mount that lies in the ground and for a sensor that the body cannot have.
     """
 
-    def __init__(self, conf: SensorsConf, context: SensorContext) -> None:
-        self.conf = conf = conf.mounted_on(context.carrier)
+    def __init__(self, conf: Mapping[str, SensorSettings], context: SensorContext) -> None:
+        is_realistic = any(each.realism is not None for each in conf.values())
+        step_s = context.step_s if is_realistic else None
+        self.settings = {
+            name: _completed(each, context, each.realism_beside(conf), step_s) for name, each in conf.items()
+        }
+        self._step_s = step_s
+        self._context = replace(context, sensor_of=self._sensor, settings_of=self.settings_of)
         self.navigation: Navigation | None = None
         instruments: dict[str, Sensor] = {}
-        if conf.is_realistic:
-            self.navigation = build_navigation(conf.navigation_requests(context.step_s), context)
-            instruments = self.navigation.instruments
+        if is_realistic:
+            instruments = self._instruments()
+            self.navigation = Navigation(instruments, context.num_rows, context.step_s)
+            self._context = replace(self._context, navigation=self.navigation)
+        shared = {
+            name: sensor for name, sensor in instruments.items() if name in conf and conf[name].sensor == name
+        }
+        self._exact: dict[str, Sensor] = {}
         self.sensors: dict[str, Sensor] = {}
-        for request in conf.requests(context.step_s):
-            _check_mount(request, context.carrier.standing_height_m)
-            shared = instruments.get(request.name) if request.kind == request.name else None
-            own = replace(request, navigation=self.navigation)
-            self.sensors[request.name] = build_sensor(own, context) if shared is None else shared
+        for name, each in self.settings.items():
+            if each.observed:
+                _check_mount(name, each, context.carrier.standing_height_m)
+                if name in shared:
+                    self.sensors[name] = shared[name]
+                else:
+                    self._sensor(name)
         # The navigation reads its instruments itself.
-        read = {id(sensor) for sensor in instruments.values()}
-        self._others = [sensor for sensor in self.sensors.values() if id(sensor) not in read]
-        every = [*instruments.values(), *self._others]
-        self.needs_joints = any(getattr(sensor, "needs_joints", False) for sensor in every)
-        known: dict[str, Bounds] = {}
-        for sensor in self.sensors.values():
-            known |= sensor.bounds()
-        self._order = [name for reading in conf.readings() for name in _parts(reading, known)]
-        self.bounds: dict[str, Bounds] = {name: known[name] for name in self._order}
+        self._measured = [sensor for name, sensor in self.sensors.items() if name not in shared]
+        self.needs_joints = any(
+            getattr(sensor, "needs_joints", False) for sensor in (*instruments.values(), *self._measured)
+        )
+        self._observed = [self.sensors[name] for name, each in self.settings.items() if each.observed]
+        self.bounds: dict[str, Bounds] = {}
+        for sensor in self._observed:
+            self.bounds |= sensor.bounds()
 
     def begin(self, mask: Flags, now: GroupState, state: State) -> None:
         """Read at the start of the episodes in `mask` (N,), which have no past."""
         if self.navigation is not None:
             self.navigation.begin(mask, now, state)
-        for sensor in self._others:
+        for sensor in self._measured:
             sensor.begin(mask, now, state)
 
     def measure(self, now: GroupState, state: State) -> None:
         """Read at the end of a control step, once, after the goals of the next have been set."""
         if self.navigation is not None:
             self.navigation.measure(now, state)
-        for sensor in self._others:
+        for sensor in self._measured:
             sensor.measure(now, state)
 
     def controller_motion(self, now: GroupState) -> ControllerMotion | Motion:
@@ -68,20 +85,70 @@ class SensorSuite:
     def observe(self) -> dict[str, Reading]:
         """The latest readings by name, each (N, ...); repeated calls return equal arrays."""
         readings: dict[str, Reading] = {}
-        for sensor in self.sensors.values():
+        for sensor in self._observed:
             readings |= sensor.read()
-        return {name: readings[name] for name in self._order}
+        return readings
+
+    def _sensor(self, name: str) -> Sensor:
+        """The sensor `name` without rate, latency and noise, built when it is first asked for."""
+        if name not in self._exact:
+            conf = self.settings.get(name) or self.settings_of(name)
+            self._exact[name], self.sensors[name] = self._build(name, conf)
+        return self._exact[name]
+
+    def _build(self, name: str, conf: SensorSettings) -> tuple[Sensor, Sensor]:
+        """A sensor without, and with, rate, latency and noise."""
+        exact = SENSORS.build_sensor(conf, name, self._context)
+        rows, step_s = self._context.num_rows, self._context.step_s
+        return exact, realistic(exact, conf.realism, rows, step_s)
+
+    def settings_of(self, kind: str) -> Any:
+        """The settings of the sensor that is called after its kind, or the kind's defaults."""
+        conf = self.settings.get(kind)
+        if conf is not None and conf.sensor == kind:
+            return conf
+        known = SENSORS.settings_class(kind)
+        if known is None:
+            raise ConfigError(f"sensors: there is no sensor {kind!r} to read")
+        return _completed(known(), self._context, None, self._step_s)
+
+    def _instruments(self) -> dict[str, Sensor]:
+        """The instruments that robots navigate by, whether they are observed or not.
+
+        A velocity with realism of its own is measured with these faults; otherwise the speed is that of the
+        odometry, on a body without wheels that of its legs, and the yaw rate the gyroscope's.
+        """
+        rows, step_s = self._context.num_rows, self._context.step_s
+        imu = self._build("imu", self.settings_of("imu"))[1]
+        instruments: dict[str, Sensor] = {"imu": imu}
+        velocity = self.settings_of("velocity")
+        if velocity.realism is not None:
+            instruments["velocity"] = self._build("velocity", velocity)[1]
+        elif self._context.carrier.drive is not None:
+            odometry = self._build("odometry", self.settings_of("odometry"))[1]
+            instruments |= {"odometry": odometry, "velocity": EstimatedVelocity(odometry, imu, rows)}
+        else:
+            exact = SENSORS.build_sensor(velocity, "velocity", self._context)
+            legs = realistic(exact, LEG_SPEED, rows, step_s)
+            instruments |= {"legs": legs, "velocity": EstimatedVelocity(legs, imu, rows)}
+        if any(conf.sensor in ("goal", "position") for conf in self.settings.values()):
+            instruments["position"] = self._build("position", self.settings_of("position"))[1]
+        return instruments
 
 
-def _parts(reading: str, known: dict[str, Bounds]) -> list[str]:
-    """Names of the arrays of a reading: itself, or all that begin with it where a sensor has several."""
-    return [reading] if reading in known else [name for name in known if name.startswith(f"{reading}_")]
+def _completed(
+    conf: SensorSettings, context: SensorContext, realism: RealismConf | None, step_s: float | None
+) -> SensorSettings:
+    """Settings with the carrier's mounts; with `step_s`, those without `realism` have the kind's default."""
+    if realism is None and step_s is not None and conf.default_realism is not None:
+        realism = conf.default_realism.fit_to(step_s)
+    return conf.mounted_on(context.carrier).model_copy(update={"realism": realism})
 
 
-def _check_mount(request: SensorRequest, height_m: float) -> None:
-    mount = getattr(request.settings, "mount_b", None)
-    if mount is not None and request.kind != "imu" and mount[2] <= -height_m:
+def _check_mount(name: str, conf: SensorSettings, height_m: float) -> None:
+    mount = getattr(conf, "mount_b", None)
+    if mount is not None and conf.sensor != "imu" and mount[2] <= -height_m:
         raise ConfigError(
-            f"sensors.{request.name}.mount_b lies in the ground: its third value, up of the robot's origin, "
+            f"sensors.{name}.mount_b lies in the ground: its third value, up of the robot's origin, "
             f"must be above {-height_m:g} (got {mount[2]:g})"
         )

@@ -1,25 +1,47 @@
 """Velocity sensors: forward speed and yaw rate of a robot, and the planar velocity of any body."""
 
+from typing import ClassVar, Literal
+
 import numpy as np
 
 from dune_rl.geometry.arrays import Array, Flags, Floats
-from dune_rl.sensors.sensor import Bounds, Reading
+from dune_rl.sensors.context import SensorContext
+from dune_rl.sensors.realism.noise import NoiseConf
+from dune_rl.sensors.realism.pipeline import ReadingRealismConf, SpeedRealismConf
+from dune_rl.sensors.sensor import MAX_SENSED_SPEED_MPS, MAX_SENSED_TURN_RADPS, Bounds, Reading, Sensor
+from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.state import GroupState, State
 
-MAX_SENSED_SPEED_MPS = 10.0
-MAX_SENSED_TURN_RADPS = 34.9
 _HIGHEST = np.array([MAX_SENSED_SPEED_MPS, MAX_SENSED_TURN_RADPS], np.float32)
 _LOWEST = -_HIGHEST
 # A body may exceed its top speed by this share, by rounding.
 _SPEED_MARGIN = 1.01
+_ODOMETRY_SPEED = 3
+# What a body without wheels knows of its speed, by the motion of its legs; an estimate.
+LEG_SPEED = SpeedRealismConf(forward=NoiseConf(noise=0.05, bias=0.02))
+
+
+class VelocityConf(SensorSettings):
+    """A velocity has nothing to set beside its realism."""
+
+    sensor: Literal["velocity"] = "velocity"
+    realism: SpeedRealismConf | None = None
+
+
+class PlanarVelocityConf(SensorSettings):
+    """A planar velocity has nothing to set beside its realism."""
+
+    default_realism: ClassVar = ReadingRealismConf(each=NoiseConf(noise=0.05))
+
+    sensor: Literal["planar_velocity"] = "planar_velocity"
 
 
 class Velocity:
     """The reading `name`, (N, 2): forward speed [m/s] and yaw rate [rad/s] in the body frame, clipped."""
 
-    def __init__(self, num_rows: int, name: str = "velocity") -> None:
+    def __init__(self, name: str, context: SensorContext, conf: VelocityConf) -> None:
         self._name = name
-        self._reading: Floats = np.zeros((num_rows, 2), np.float32)
+        self._reading: Floats = np.zeros((context.num_rows, 2), np.float32)
 
     def bounds(self) -> dict[str, Bounds]:
         """Symmetric: 10 m/s and 34.9 rad/s."""
@@ -42,16 +64,47 @@ class Velocity:
         return {self._name: self._reading.copy()}
 
 
+class EstimatedVelocity:
+    """The reading "velocity", (N, 2): speed by `speed` [m/s] and yaw rate by the inertial unit [rad/s].
+
+    `speed` is wheel odometry, or a velocity sensor on a body without wheels. Neither is read here: they must
+    have been read before.
+    """
+
+    def __init__(self, speed: Sensor, imu: Sensor, num_rows: int) -> None:
+        self._speed, self._imu = speed, imu
+        self._reading: Floats = np.zeros((num_rows, 2), np.float32)
+
+    def bounds(self) -> dict[str, Bounds]:
+        """As of the true velocity."""
+        return {"velocity": (_LOWEST, _HIGHEST)}
+
+    def begin(self, mask: Flags, now: GroupState, state: State) -> None:
+        """As `measure`: nothing is remembered."""
+        self.measure(now, state)
+
+    def measure(self, now: GroupState, state: State) -> None:
+        """Take both from the latest readings."""
+        speed = self._speed.read()
+        ahead = speed["odometry"][:, _ODOMETRY_SPEED] if "odometry" in speed else speed["velocity"][:, 0]
+        reading = np.stack([ahead, self._imu.read()["imu"][:, 5]], axis=1)
+        self._reading = np.minimum(np.maximum(reading, _LOWEST), _HIGHEST)
+
+    def read(self) -> dict[str, Reading]:
+        """The latest speed and yaw rate."""
+        return {"velocity": self._reading.copy()}
+
+
 class PlanarVelocity:
     """The reading `name`, (N, 2): horizontal velocity [m/s] along the heading and to its left.
 
-    Bounds follow from `max_speed_mps`, the top speed of the body; readings are clipped to them.
+    Bounds follow from the top speed of the body; readings are clipped to them.
     """
 
-    def __init__(self, num_rows: int, max_speed_mps: float, name: str = "planar_velocity") -> None:
+    def __init__(self, name: str, context: SensorContext, conf: PlanarVelocityConf) -> None:
         self._name = name
-        self._highest = np.full(2, max_speed_mps * _SPEED_MARGIN, np.float32)
-        self._reading: Floats = np.zeros((num_rows, 2), np.float32)
+        self._highest = np.full(2, context.carrier.max_speed_mps * _SPEED_MARGIN, np.float32)
+        self._reading: Floats = np.zeros((context.num_rows, 2), np.float32)
 
     def bounds(self) -> dict[str, Bounds]:
         """Symmetric: the top speed and one percent."""

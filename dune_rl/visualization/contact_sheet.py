@@ -12,11 +12,11 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from dune_rl.rendering.scenery import Segment
-from dune_rl.sensors.conf import SensorsConf
-from dune_rl.sensors.lidar import LidarConf
+from dune_rl.sensors.settings import SensorSettings
 
 Picture = NDArray[np.uint8]
 Readings = Mapping[str, NDArray[Any]]
+Sensors = Mapping[str, SensorSettings]
 DrawPanel = Callable[[Any], None]
 
 _PAPER, _INK, _FAINT = "#10151c", "#e8ecf1", "#3a4656"
@@ -34,7 +34,7 @@ _SEGMENT_COLOURS = {
 _COLUMNS = 4
 
 
-def contact_sheet(readings: Readings, conf: SensorsConf, picture: Picture, title: str) -> Figure:
+def contact_sheet(readings: Readings, conf: Sensors, picture: Picture, title: str) -> Figure:
     """A page with `picture` (H, W, 3) of the scene and a panel for each of one agent's `readings`."""
     panels = _reading_panels(readings, conf)
     scans = _scan_panels(readings, conf)
@@ -61,16 +61,17 @@ def contact_sheet(readings: Readings, conf: SensorsConf, picture: Picture, title
     return figure
 
 
-def _sensors(conf: SensorsConf) -> list[tuple[str, str, Any]]:
-    """Name, kind and settings of every sensor that may have a panel."""
-    own = [(kind, kind, getattr(conf, kind)) for kind in _LABELS if kind not in conf.named]
-    return [*own, *((name, settings.sensor, settings) for name, settings in conf.named.items())]
+def _in_order(conf: Sensors) -> list[tuple[str, SensorSettings]]:
+    """The sensors, first those that are called after their kind, in the order of the panels."""
+    plain = {kind: conf[kind] for kind in _LABELS if kind in conf and conf[kind].sensor == kind}
+    return list((plain | dict(conf)).items())
 
 
-def _reading_panels(readings: Readings, conf: SensorsConf) -> list[tuple[DrawPanel, list[str]]]:
+def _reading_panels(readings: Readings, conf: Sensors) -> list[tuple[DrawPanel, list[str]]]:
     """A function that draws each panel, and the names of the readings in it."""
     panels: list[tuple[DrawPanel, list[str]]] = []
-    for name, kind, settings in _sensors(conf):
+    for name, settings in _in_order(conf):
+        kind = settings.sensor
         for (panel_kind, output), draw in _PANELS.items():
             reading = f"{name}_{output}" if output else name
             if panel_kind == kind and reading in readings:
@@ -81,10 +82,11 @@ def _reading_panels(readings: Readings, conf: SensorsConf) -> list[tuple[DrawPan
     return panels
 
 
-def _scan_panels(readings: Readings, conf: SensorsConf) -> list[tuple[DrawPanel, list[str]]]:
+def _scan_panels(readings: Readings, conf: Sensors) -> list[tuple[DrawPanel, list[str]]]:
     """As `_reading_panels`, for the polar panels of planar LiDARs with their past scans."""
     panels: list[tuple[DrawPanel, list[str]]] = []
-    for name, kind, settings in _sensors(conf):
+    for name, settings in _in_order(conf):
+        kind = settings.sensor
         names = [reading for reading in (f"{name}_past", name) if reading in readings]
         if kind == "lidar" and names:
             label = _LABELS[kind] if name == kind else name
@@ -197,7 +199,7 @@ def _draw_scans(
     past: NDArray[Any] | None,
     now: NDArray[Any] | None,
     goal: NDArray[Any] | None,
-    conf: LidarConf,
+    conf: Any,
     label: str,
 ) -> None:
     axes.set_theta_zero_location("N")

@@ -2,13 +2,12 @@
 
 from collections.abc import Mapping
 from functools import lru_cache
+from typing import Any
 
 import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
-
-from dune_rl.sensors.lidar import LidarConf
 
 Picture = NDArray[np.uint8]
 
@@ -27,13 +26,14 @@ def _font(size: int) -> ImageFont.FreeTypeFont:
 def draw_overlays(
     frame: Picture,
     observation: Mapping[str, NDArray[np.generic]],
-    lidar: LidarConf,
+    lidar: Any,
     lines: list[str],
     headline: str = "",
 ) -> Picture:
     """`frame` (H, W, 3) with the camera's picture, the scan from above, and text drawn on it.
 
-    `observation` has one agent's readings by name; what it lacks is left out.
+    `observation` has one agent's readings by name; what it lacks is left out. `lidar` are the settings of its
+    LiDAR, if it has one.
     """
     canvas = Image.fromarray(frame).convert("RGBA")
     layer = Image.new("RGBA", canvas.size)
@@ -74,7 +74,7 @@ def _draw_scan(
     corner: tuple[int, int],
     side: int,
     ranges: NDArray[np.floating],
-    lidar: LidarConf,
+    lidar: Any,
     goal: NDArray[np.generic] | None,
 ) -> None:
     left, top = corner

@@ -113,7 +113,8 @@ def test_sections_of_a_group() -> None:
     )
     rover, blind, eager, husky = conf.groups
     assert (rover.sensors, rover.task, rover.metrics) == (conf.sensors, conf.task, conf.metrics)
-    assert blind.sensors == conf.sensors.model_copy(update={"enabled": ("goal", "velocity")})
+    assert blind.sensors is not None and list(blind.sensors) == ["goal", "velocity", "lidar"]
+    assert not blind.sensors["lidar"].observed and blind.sensors["lidar"].n_beams == 64  # type: ignore[attr-defined]
     assert blind.task == conf.task
     assert eager.body == RoverZeroConf(wheel_friction=0.5)
     assert eager.task is not None and eager.metrics is not None
@@ -144,8 +145,8 @@ def test_sections_of_a_group_without_a_name_change_what_it_has_otherwise() -> No
     }
     conf = compose_environment("flat", words, {"agents": groups})
     rover, scout, walker = conf.groups
-    assert rover.sensors is not None and rover.sensors.lidar.n_beams == 64
-    assert rover.sensors.enabled == conf.sensors.enabled
+    assert rover.sensors is not None and rover.sensors["lidar"].n_beams == 64  # type: ignore[attr-defined]
+    assert list(rover.sensors) == list(conf.sensors)
     assert rover.task is not None and rover.metrics is not None
     assert list(rover.task.rewards) == list(conf.task.rewards)
     assert (rover.task.rewards["velocity"].weight, rover.task.rewards["contact"].weight) == (2.0, 0.0)
@@ -206,9 +207,8 @@ def test_settings_of_a_run_with_groups_stay() -> None:
         ({"a": {"body": "rover_zero", "controller": "path"}},
          "agents.a: paths are walked by persons, and the body is rover_zero: choose another controller, and "
          "leave path out"),
-        ({"a": {"body": "rover_zero", "sensors": {"enabled": ["near"],
-                "named": {"near": {"sensor": "nearest_agent", "groups": ["b"]}}}}},
-         "agents.a.sensors: near senses a group 'b', which is not there; choose a"),
+        ({"a": {"body": "rover_zero", "sensors": {"near": {"sensor": "nearest_agent", "groups": ["b"]}}}},
+         "agents.a.sensors.near.groups: there is no group 'b'; choose a"),
         ({"a": {"body": "rover_zero",
                 "metrics": {"terms": {"x": {"term": "ended_by", "termination": "stuk"}}}}},
          "metrics.terms.x.termination: there is no termination 'stuk'; did you mean stuck?"),
@@ -269,9 +269,9 @@ def test_all_groups_are_trained_and_gymnasium_has_one_agent() -> None:
 
 
 def test_sensors_of_every_group_are_checked() -> None:
-    realism = {"lidar": {"rate_hz": 3.0}}
-    said = fault(agents={"a": {"body": "rover_zero", "sensors": {"realism": realism}}})
-    assert said.startswith("agents.a.sensors.realism.lidar: ")
+    realism = {"rate_hz": 3.0}
+    said = fault(agents={"a": {"body": "rover_zero", "sensors": {"lidar": {"realism": realism}}}})
+    assert said.startswith("agents.a.sensors.lidar.realism: ")
 
 
 def test_the_task_of_a_group_has_defaults_of_its_own() -> None:

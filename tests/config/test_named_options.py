@@ -6,6 +6,7 @@ import pytest
 
 from dune_rl.config.compose import check_sweep, compose, compose_environment, compose_resumed
 from dune_rl.core.errors import ConfigError
+from dune_rl.sensors.conf import observed_names
 
 LEARNING = ["+world=flat", "+experiment=multi_agent"]
 WEIGHT = "actors.walker.task.rewards.blocking.weight=0.5"
@@ -43,12 +44,12 @@ def test_a_weight_changes_the_task_that_a_file_of_the_user_names(tmp_path: Path)
 
 
 def test_a_setting_of_sensors_changes_those_that_are_named_beside_it() -> None:
-    words = ["actors.walker.sensors=adversary", "actors.walker.sensors.named.neighbours.range_m=9"]
+    words = ["actors.walker.sensors=adversary", "actors.walker.sensors.neighbours.range_m=9"]
     before, after = (compose([*LEARNING, *each]).groups[-1].sensors for each in (words[:1], words))
     assert before is not None and after is not None
-    assert after.enabled == before.enabled
-    found = after.named["neighbours"].model_dump()
-    assert found == before.named["neighbours"].model_dump() | {"range_m": 9.0}
+    assert list(after) == list(before)
+    found = after["neighbours"].model_dump()
+    assert found == before["neighbours"].model_dump() | {"range_m": 9.0}
     assert found["goals"]
 
 
@@ -68,7 +69,7 @@ def test_a_group_of_agents_may_name_its_body_and_change_it() -> None:
     sensors = ["agents.rover.sensors=default", "agents.rover.sensors.lidar.n_beams=64"]
     found = compose([*words[:2], *sensors]).groups[0]
     assert found.body.name == "leo_rover" and found.sensors is not None
-    assert found.sensors.lidar.n_beams == 64
+    assert found.sensors["lidar"].n_beams == 64
 
 
 @pytest.mark.parametrize("order", [1, -1])
@@ -118,10 +119,10 @@ def test_a_saved_task_is_changed_where_it_is() -> None:
 
 
 def test_a_list_of_sensors_is_changed_beside_it() -> None:
-    words = ["actors.walker.sensors=[goal,neighbours]", "actors.walker.sensors.named.neighbours.number=2"]
+    words = ["actors.walker.sensors=[goal,neighbours]", "actors.walker.sensors.neighbours.number=2"]
     sensors = compose([*LEARNING, *words]).groups[-1].sensors
-    assert sensors is not None and sensors.enabled == ("goal", "neighbours")
-    assert sensors.named["neighbours"].model_dump()["number"] == 2
+    assert sensors is not None and observed_names(sensors) == ["goal", "neighbours"]
+    assert sensors["neighbours"].model_dump()["number"] == 2
 
 
 @pytest.mark.slow(all_but=["words[2-9]*"])

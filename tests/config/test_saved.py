@@ -17,6 +17,7 @@ from dune_rl.learning.checkpoint import read_checkpoint_file
 from dune_rl.metrics.episode import MetricsConf
 from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.weather import WeatherConf
+from dune_rl.sensors.conf import parse_sensors
 from dune_rl.tasks.task import TaskConf
 from dune_rl.worlds.appearance import with_own_sun
 from dune_rl.worlds.flat import FlatConf, build_flat
@@ -65,8 +66,9 @@ def test_angles_of_older_runs_are_the_same_in_degrees() -> None:
     saved = yaml.safe_load((EXPERIMENTS / "inspection" / "config.yaml").read_text())
     conf = compose_evaluation(["policy=random"], (), saved)
     old = saved["sensors"]
-    assert conf.sensors.lidar.fov_deg == 360.0
-    assert np.deg2rad(conf.sensors.depth_strip.fov_deg) == pytest.approx(old["depth_strip"]["fov_rad"])
+    assert conf.sensors["lidar"].fov_deg == 360.0
+    camera = parse_sensors(upgrade_saved({"sensors": old | {"enabled": ["camera"]}})["sensors"])["camera"]
+    assert np.deg2rad(camera.fov_deg) == pytest.approx(old["camera"]["fov_rad"])  # type: ignore[attr-defined]
     assert np.deg2rad(conf.weather.light.sun_bearing_deg) == pytest.approx(2.2)
 
 

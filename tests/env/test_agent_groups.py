@@ -244,7 +244,7 @@ def test_a_scene_among_many_is_the_same_as_alone(scene: str) -> None:
 
 def test_noise_of_the_agents_of_a_team_differs() -> None:
     # Seen standing still, a true reading would be the same for all.
-    sensors = {"enabled": ["imu", "goal"], "realism": {"imu": "bno055"}}
+    sensors = {"enabled": ["imu", "goal"], "imu": {"realism": "bno055"}}
     core = simulation("team", 2, sensors=sensors)
     readings = []
     for _ in range(5):
@@ -259,7 +259,7 @@ def test_noise_of_the_agents_of_a_team_differs() -> None:
 
 
 def test_an_agent_more_changes_no_noise_of_other_groups() -> None:
-    sensors = {"enabled": ["imu", "goal"], "realism": {"imu": "bno055"}}
+    sensors = {"enabled": ["imu", "goal"], "imu": {"realism": "bno055"}}
     readings = []
     for count in (1, 2):
         agents = {"rover": {"body": "rover_zero", "count": count}, "other": {"body": "rover_zero"}}

@@ -198,10 +198,8 @@ def test_nobody_feels_it_when_guests_come_and_go(engine: str) -> None:
 def test_sensors_list_only_who_is_there() -> None:
     sensors = {
         "enabled": ["goal", "list", "nearest"],
-        "named": {
-            "list": {"sensor": "neighbours", "number": 2, "range_m": 1000.0, "groups": ["guest"]},
-            "nearest": {"sensor": "nearest_agent", "groups": ["guest"]},
-        },
+        "list": {"sensor": "neighbours", "number": 2, "range_m": 1000.0, "groups": ["guest"]},
+        "nearest": {"sensor": "nearest_agent", "groups": ["guest"]},
     }
     presence = {"arrive_s": [0.1, 0.1], "stay_s": [0.2, 0.2]}
     simulation = started_simulation(sensors=sensors, **visited(presence))

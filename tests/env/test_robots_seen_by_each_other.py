@@ -67,7 +67,7 @@ def test_each_sees_the_other(robots: list[str]) -> None:
         nearest = seen["lidar"].min(axis=1)
         # Round the other's origin its wheels reach to 0.38 m, and its hull is 0.1 m at least.
         assert (nearest > apart - 0.39).all() and (nearest < apart - 0.1).all()
-        segment = 2 * np.pi / group.suite.conf.lidar.n_segments
+        segment = 2 * np.pi / group.suite.settings["lidar"].n_segments
         toward = -np.pi + (seen["lidar"].argmin(axis=1) + 0.5) * segment
         # Seen from the middle of one, the other is no wider than this.
         off = np.abs((toward - ahead + np.pi) % (2 * np.pi) - np.pi)

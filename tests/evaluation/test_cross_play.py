@@ -123,7 +123,7 @@ def test_actors_of_a_run_act_by_its_policy_in_its_bodies(run: Path) -> None:
     rover, walker = conf.groups
     assert rover.is_external and not walker.is_external
     assert walker.count == 2 and walker.sensors is not None and walker.task is not None
-    assert list(walker.sensors.enabled) == ["goal", "neighbours", "lidar", "velocity"]
+    assert list(walker.sensors) == ["goal", "neighbours", "lidar", "velocity"]
     assert not walker.task.rewards and walker.task.terminations["goal_reached"].renew
     assert not conf.cross_play and conf.populations == ()
 

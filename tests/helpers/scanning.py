@@ -3,6 +3,7 @@
 import numpy as np
 from people import meshes_of
 from scenes import about
+from sensor_contexts import context_of
 from sensors_of_rover_zero import lidar_conf
 from states import group_state, measure
 
@@ -10,7 +11,7 @@ from dune_rl.bodies.person import PersonConf
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.geometry.rays import RayScene
 from dune_rl.sensors.lidar import Lidar, LidarConf
-from dune_rl.sensors.velocity import Velocity
+from dune_rl.sensors.velocity import Velocity, VelocityConf
 from dune_rl.state import Motion
 from dune_rl.worlds.flat import FlatConf, build_flat
 from dune_rl.worlds.props import upright_box
@@ -41,7 +42,7 @@ def lidar_in(world: World, actors: tuple[PersonConf, ...] = (), conf: LidarConf 
 
 def sensed_speed(motion: Motion) -> np.ndarray:
     """The reading "velocity" of a motion."""
-    sensor = Velocity(1)
+    sensor = Velocity("velocity", context_of(), VelocityConf())
     measure(sensor, group_state(motion))
     return sensor.read()["velocity"]
 

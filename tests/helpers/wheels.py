@@ -4,11 +4,13 @@ import hashlib
 from collections.abc import Iterable
 
 import numpy as np
-from scenes import STEP_S, Drive
+from scenes import Drive
+from sensor_contexts import carrier_of, context_of
 from states import begin, group_state, joints_from, measure, motion_of, resting
 
 from dune_rl.physics.bullet.scene import BulletScene
 from dune_rl.robots.rover_zero.robot import RoverZeroConf
+from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.currents import Currents, CurrentsConf
 from dune_rl.sensors.encoders import Encoders, EncodersConf
 from dune_rl.sensors.odometry import DriveGeometry, Odometry, OdometryConf
@@ -79,14 +81,29 @@ class Measured:
             measure(sensor, now)
 
 
+def on_wheels(
+    encoders: EncodersConf,
+    drive: DriveGeometry | None = None,
+    num_rows: int = 1,
+    wheels: int = WHEELS,
+    **fields,
+) -> SensorContext:
+    """The context of sensors of wheels, which these encoders count."""
+    carrier = carrier_of(num_joints=wheels, drive=drive)
+    return context_of(num_rows, carrier=carrier, settings_of=lambda _: encoders, **fields)
+
+
 def sensors_of_all_kinds(track_m: float = TRACK_M) -> list[Sensor]:
     """One of each, at the defaults, with some drift."""
+    context = on_wheels(
+        EncodersConf(), geometry(track_m), extent=(-20.0, 20.0, -20.0, 20.0), heights=(-1.0, 2.0)
+    )
     drifting = PositionConf(drift_horizontal_m=1.0, drift_vertical_m=2.0)
     return [
-        Encoders(EncodersConf(), 1, WHEELS, STEP_S),
-        Odometry(OdometryConf(), EncodersConf(), geometry(track_m), 1, WHEELS, STEP_S),
-        Currents(CurrentsConf(), 1, WHEELS),
-        Position(drifting, (-20.0, 20.0, -20.0, 20.0), (-1.0, 2.0), 1, STEP_S),
+        Encoders("encoders", context, EncodersConf()),
+        Odometry("odometry", context, OdometryConf()),
+        Currents("currents", context, CurrentsConf()),
+        Position("position", context, drifting),
     ]
 
 

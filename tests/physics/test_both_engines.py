@@ -15,7 +15,8 @@ SENSES: dict[str, Any] = {
     ],
     "camera": {"width": 12, "height": 8, "outputs": ["rgb", "depth", "segmentation", "normals", "grey"]},
     "lidar_3d": {"n_rings": 3, "n_beams": 24, "outputs": ["range", "intensity", "segmentation"]},
-    "realism": {"imu": "bno055", "lidar": "rplidar_a2m8"},
+    "imu": {"realism": "bno055"},
+    "lidar": {"realism": "rplidar_a2m8"},
 }
 ON_WHEELS = {**SENSES, "enabled": [*SENSES["enabled"], "odometry"]}
 ROBOTS = {"rover_zero": ON_WHEELS, "leo_rover": ON_WHEELS, "hyperdog": SENSES}

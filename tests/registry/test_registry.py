@@ -18,7 +18,7 @@ from dune_rl.core.errors import RegistryError
 from dune_rl.core.registry import Registry
 from dune_rl.core.settings import Settings
 from dune_rl.metrics.registry import METRICS
-from dune_rl.sensors.conf import SensorsConf
+from dune_rl.sensors.conf import parse_sensors
 from dune_rl.sensors.registry import SENSORS
 from dune_rl.tasks.registry import REWARDS, RewardTermConf
 
@@ -112,15 +112,15 @@ def pace(state: Any, group: Any, *, gain: float = 1.0) -> np.ndarray:
     return gain * np.asarray(group.speed)
 
 
-def test_a_sensor_travels_with_the_settings_that_enable_it() -> None:
+def test_a_sensor_travels_with_its_settings() -> None:
     dune_rl.register_sensor(pace)
-    conf = SensorsConf(enabled=("goal", "pace"))
-    assert conf.model_dump()["named"] == {"pace": {"sensor": "pace", "realism": None, "gain": 1.0}}
+    conf = parse_sensors(["goal", "pace"])
+    assert conf["pace"].model_dump() == {"sensor": "pace", "realism": None, "observed": True, "gain": 1.0}
     sent = pickle.dumps(conf)
     SENSORS._user_parts.clear()
     there = pickle.loads(sent)
-    assert [request.kind for request in there.requests(0.05)] == ["goal", "pace"]
-    assert SENSORS.part_of(there.named["pace"]).target is pace
+    assert list(there) == ["goal", "pace"]
+    assert SENSORS.part_of(there["pace"]).target is pace
 
 
 def untyped(state: Any, group: Any, *, gain=1.0) -> np.ndarray: ...  # type: ignore[no-untyped-def]

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scanning import flat_with, lidar_in
 from scipy import integrate
+from sensor_contexts import context_of, rays_of
 from sensors_of_rover_zero import camera_conf
 from simulations import act, observation, started_simulation
 from states import episode_state, state_of, write
@@ -17,8 +18,8 @@ from dune_rl.rendering.participating_media import ParticipatingMedia
 from dune_rl.rendering.renderer import Renderer, Viewpoint
 from dune_rl.rendering.weather import Haze, WeatherConf, sun_position, weather_light
 from dune_rl.sensors.camera import Camera
+from dune_rl.sensors.lidar_sensor import LidarSensor
 from dune_rl.sensors.medium import InHaze, effects_of
-from dune_rl.sensors.scanner import Scanner
 from dune_rl.worlds.appearance import bake_in_weather, bake_world
 from dune_rl.worlds.props import upright_box
 from dune_rl.worlds.world import Prop, World
@@ -242,7 +243,8 @@ def test_haze_depends_on_the_moment_alone():
 def test_a_scan_in_fog_passes_the_same_gate_as_faults():
     walls = flat_with((4.0, 0.0, 0.0, 0.2, 8.0), (-6.0, 0.0, 0.0, 0.2, 8.0))
     lidar = lidar_in(walls)
-    sensor = Scanner(lidar, ("lidar",), 1, 1, in_haze(10.0))
+    air = ParticipatingMedia(haze_of(WeatherConf(fog_visibility_m=10.0)))
+    sensor = LidarSensor("lidar", context_of(solid=rays_of(walls), air=air), lidar.conf)
     now = episode_state([3], [7])
     write(now.motion.position_w, ..., STANDING)
     sensor.measure(now, state_of(now))

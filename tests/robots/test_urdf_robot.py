@@ -258,7 +258,7 @@ def test_the_command_line_chooses_it(tmp_path, words):
     assert not state_of_group(simulation).motion.diverged.any()
     assert motion_of_group(simulation).velocity_b[0, 0] == pytest.approx(0.5, rel=0.1)
     # Over the body, whose top is 0.16 m high.
-    assert simulation.group().suite.conf.lidar.mount_b == pytest.approx((0.0, 0.0, 0.21), abs=1e-3)
+    assert simulation.group().suite.settings["lidar"].mount_b == pytest.approx((0.0, 0.0, 0.21), abs=1e-3)
     simulation.close()
 
 

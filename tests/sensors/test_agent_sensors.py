@@ -4,21 +4,29 @@ import numpy as np
 import pytest
 from people import meshes_of
 from scanning import flat_with
+from sensor_contexts import carrier_of, context_of, rays_of
 from sensors_of_rover_zero import lidar_conf
 from states import begin, group_state, measure, resting, state_of, write
 
 from dune_rl.bodies.person import PersonConf
 from dune_rl.geometry.frames import wrap_angle
-from dune_rl.geometry.rays import RayScene
-from dune_rl.sensors.goal import Goal
-from dune_rl.sensors.lidar import Lidar
+from dune_rl.sensors.goal import Goal, GoalConf
+from dune_rl.sensors.lidar_sensor import LidarSensor
 from dune_rl.sensors.nearest_agent import NearestAgent, NearestAgentConf
-from dune_rl.sensors.scanner import Scanner
-from dune_rl.sensors.velocity import PlanarVelocity
+from dune_rl.sensors.velocity import PlanarVelocity, PlanarVelocityConf
 from dune_rl.state import GoalState, GroupState, Motion
 from dune_rl.state.sensor_carrier import SensorCarrier
 
 SCENES, WALKERS, ROBOTS = 4, 3, 2
+
+
+def nearest_agent(
+    rows: int, farthest_m: float, max_closing_mps: float, *groups: str, name: str = "nearest_agent"
+) -> NearestAgent:
+    carrier = carrier_of(max_speed_mps=max_closing_mps - 10.0)
+    return NearestAgent(
+        name, context_of(rows, farthest_m=farthest_m, carrier=carrier), NearestAgentConf(groups=groups)
+    )
 
 
 def walking(rng: np.random.Generator, count: int, name: str, **settings) -> GroupState:
@@ -84,9 +92,11 @@ def test_walkers_read_what_their_task_has_always_told(robots):
         goal=GoalState(goals.reshape(-1, 2), distance, distance, bearing),
     )
     sensors = {
-        "goal": Goal(rows, 10.0),
-        "rover": NearestAgent(NearestAgentConf(groups=("rover",)), rows, 10.0, 1.5, "rover"),
-        "velocity": PlanarVelocity(rows, 2.0, "velocity"),
+        "goal": Goal("goal", context_of(rows, farthest_m=10.0), GoalConf()),
+        "rover": nearest_agent(rows, 10.0, 1.5, "rover", name="rover"),
+        "velocity": PlanarVelocity(
+            "velocity", context_of(rows, carrier=carrier_of(max_speed_mps=2.0)), PlanarVelocityConf()
+        ),
     }
     for name, sensor in sensors.items():
         sensor.measure(now, state_of(now, rovers))
@@ -101,7 +111,7 @@ def test_the_nearest_of_all_other_groups_is_read_where_none_is_named():
     write(far.motion.position_w, (slice(None), 0), 3.0)
     write(near.motion.position_w, (slice(None), 1), 2.0)
     write(near.motion.velocity_w, (slice(None), 0), 0.7)
-    sensor = NearestAgent(NearestAgentConf(), SCENES, 100.0, 10.0)
+    sensor = nearest_agent(SCENES, 100.0, 10.0)
     sensor.measure(here, state_of(here, far, near))
     np.testing.assert_allclose(
         sensor.read()["nearest_agent"], [[2.0, np.pi / 2, 0.7, 0.0]] * SCENES, rtol=1e-6
@@ -111,7 +121,7 @@ def test_the_nearest_of_all_other_groups_is_read_where_none_is_named():
 def test_in_its_own_group_an_agent_does_not_see_itself():
     team = group_state(resting(6), count=3, name="team")
     write(team.motion.position_w, (slice(None), 0), [0.0, 1.0, 5.0, 0.0, 10.0, 13.0])
-    sensor = NearestAgent(NearestAgentConf(groups=("team",)), 6, 100.0, 10.0)
+    sensor = nearest_agent(6, 100.0, 10.0, "team")
     measure(sensor, team)
     found = sensor.read()["nearest_agent"]
     np.testing.assert_allclose(found[:, 0], [1, 1, 4, 10, 3, 3])
@@ -120,8 +130,8 @@ def test_in_its_own_group_an_agent_does_not_see_itself():
 
 def test_without_another_agent_it_is_as_far_as_can_be():
     alone = group_state(resting(2), name="alone")
-    for conf in (NearestAgentConf(), NearestAgentConf(groups=("alone",))):
-        sensor = NearestAgent(conf, 2, 42.0, 10.0)
+    for groups in ((), ("alone",)):
+        sensor = nearest_agent(2, 42.0, 10.0, *groups)
         begin(sensor, np.ones(2, bool), alone)
         np.testing.assert_array_equal(sensor.read()["nearest_agent"], [[42.0, 0, 0, 0]] * 2)
 
@@ -130,10 +140,8 @@ def test_a_kinematic_body_carries_a_lidar():
     # A walker's scanner at breast height; its motion has a place and a yaw alone.
     carrier = SensorCarrier(scanner_b=(0.0, 0.0, 1.2), camera_b=(0.0, 0.0, 1.6), imu_b=(0.0, 0.0, 1.0))
     world, other = flat_with((4.0, 0.0, 0.0, 0.2, 12.0)), meshes_of((PersonConf(radius_m=0.3),))
-    solid = world.solid_mesh()
     conf = lidar_conf(mount_b=carrier.scanner_b, n_segments=4, n_beams=4)
-    lidar = Lidar(conf, RayScene(solid.vertices, solid.faces), other)
-    sensor = Scanner(lidar, ("lidar",), 1, 1)
+    sensor = LidarSensor("lidar", context_of(solid=rays_of(world), meshes=other), conf)
     zero = np.zeros((1, 3))
     motion = Motion(zero, np.array([[0.0, 0.0, np.pi / 2]]), zero, zero, np.zeros(1, bool))
     measure(sensor, group_state(motion, np.array([[[-2.0, 0.0, 0.0, 0.0]]])))

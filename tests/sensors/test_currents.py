@@ -15,19 +15,20 @@ from scenes import (
     quaternion_of,
 )
 from states import begin, measure
-from wheels import ALL, WHEELS, Measured, reading, wheels_state, within_bounds
+from wheels import ALL, WHEELS, Measured, on_wheels, reading, wheels_state, within_bounds
 
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.robots.rover_zero.robot import RoverZeroConf, RoverZeroDriveConf
 from dune_rl.robots.skid_steer import SkidSteerConf
 from dune_rl.sensors.currents import Currents, CurrentsConf
+from dune_rl.sensors.encoders import EncodersConf
 
 # An ampere for a newton metre, either way.
 PLAIN = CurrentsConf(torque_constant_nm_per_a=1.0, gear_ratio=1.0, efficiency=1.0)
 
 
 def currents(conf: CurrentsConf = PLAIN, scenes: int = 1, wheels: int = WHEELS) -> Currents:
-    return Currents(conf, scenes, wheels)
+    return Currents("currents", on_wheels(EncodersConf(), None, scenes, wheels), conf)
 
 
 def current(conf: CurrentsConf, torque: float, speed: float) -> float:

@@ -9,12 +9,12 @@ from poses import seen_at
 from pydantic import ValidationError
 from scanning import flat_with, turned
 from scenes import about
+from sensor_contexts import context_of, rays_of
 from sensors_of_rover_zero import depth_strip_conf
 from states import begin, measure, state_at
 
 from dune_rl.bodies.person import PersonConf
 from dune_rl.geometry.frames import rotation_matrices
-from dune_rl.geometry.rays import RayScene
 from dune_rl.sensors.depth_strip import DepthStrip, DepthStripConf
 from dune_rl.worlds.flat import FlatConf, build_flat
 from dune_rl.worlds.props import upright_box
@@ -32,9 +32,8 @@ LOWEST = np.deg2rad(-3.4)
 def strip_in(
     world: World, actors: tuple[PersonConf, ...] = (), scenes: int = 1, **conf: object
 ) -> DepthStrip:
-    solid = world.solid_mesh()
-    rays = RayScene(solid.vertices, solid.faces)
-    return DepthStrip(depth_strip_conf(**conf), rays, meshes_of(actors), scenes)
+    context = context_of(scenes, solid=rays_of(world), meshes=meshes_of(actors))
+    return DepthStrip("depth_strip", context, depth_strip_conf(**conf))
 
 
 def depths(

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scenes import STEP_S, WHEEL_RADIUS_M, Drive, Stage, every_backend
 from states import begin, group_state, measure, resting
-from wheels import ALL, WHEELS, Measured, reading, wheels_state, within_bounds
+from wheels import ALL, WHEELS, Measured, on_wheels, reading, wheels_state, within_bounds
 
 from dune_rl.sensors.encoders import Encoders, EncodersConf
 
@@ -15,7 +15,7 @@ COUNT_RAD = 2 * np.pi / 100
 
 
 def encoders(conf: EncodersConf = IDEAL, scenes: int = 1, wheels: int = WHEELS) -> Encoders:
-    return Encoders(conf, scenes, wheels, STEP_S)
+    return Encoders("encoders", on_wheels(conf, None, scenes, wheels), conf)
 
 
 def after(sensor: Encoders, *angles: float) -> list[np.ndarray]:

@@ -5,11 +5,11 @@ import pytest
 from grass_samples import BEAM_EXTINCTION, EVERYWHERE, EXTINCTION, FULL, PLAIN
 from people import meshes_of
 from poses import seen_at
+from sensor_contexts import context_of, rays_of
 from sensors_of_rover_zero import camera_conf, depth_strip_conf, lidar_3d_conf
 from states import begin, episode_state, write
 
 from dune_rl.bodies.person import PersonConf
-from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.participating_media import ParticipatingMedia
 from dune_rl.rendering.renderer import Renderer, Viewpoint
@@ -64,16 +64,10 @@ def ahead_world() -> World:
 
 def test_rings_tell_grass_from_ground():
     world = ahead_world()
-    solid = world.solid_mesh()
     conf = lidar_3d_conf(n_rings=8, n_beams=64, range_m=8.0, outputs=("range", "intensity", "segmentation"))
-    lidar = Lidar3d(
-        conf,
-        RayScene(solid.vertices, solid.faces),
-        beam_surface(world),
-        (),
-        1,
-        ParticipatingMedia(foliage=world.grass.foliage),
-    )
+    air = ParticipatingMedia(foliage=world.grass.foliage)
+    context = context_of(solid=rays_of(world), surfaces=beam_surface(world), air=air)
+    lidar = Lidar3d("lidar_3d", context, conf)
     begin(lidar, np.array([True]), standing([0], 0))
     found = {name.removeprefix("lidar_3d_"): value[0, ..., 0] for name, value in lidar.read().items()}
     green = found["segmentation"] == Segment.VEGETATION
@@ -118,11 +112,10 @@ def test_pixels_show_the_grass_that_takes_half_their_light():
 
 def test_a_depth_strip_ends_in_it():
     world = ahead_world()
-    solid = world.solid_mesh()
-    static = RayScene(solid.vertices, solid.faces)
+    static = rays_of(world)
     conf = depth_strip_conf(fov_deg=359.8, columns=32)
     bare, seen = (
-        DepthStrip(conf, static, (), 1, air).depths(STANDING, LEVEL, NOBODY)[0]
+        DepthStrip("depth_strip", context_of(solid=static, air=air), conf).depths(STANDING, LEVEL, NOBODY)[0]
         for air in (ParticipatingMedia(), ParticipatingMedia(foliage=world.grass.foliage))
     )
     assert (seen[12:20] < 3.0).all()

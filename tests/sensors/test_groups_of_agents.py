@@ -1,6 +1,6 @@
 """Sensors of several agents in a scene read what those of single agents in equal scenes do."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -18,9 +18,10 @@ from dune_rl.geometry.shared_per_scene import SharedPerScene
 from dune_rl.rendering.foliage import BatchedFoliage
 from dune_rl.rendering.participating_media import BeamMedia
 from dune_rl.rendering.weather import Haze, WeatherConf
-from dune_rl.sensors.conf import SensorsConf
+from dune_rl.sensors.conf import parse_sensors
 from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.odometry import DriveGeometry
+from dune_rl.sensors.settings import SensorSettings
 from dune_rl.sensors.suite import SensorSuite
 from dune_rl.state import GroupState
 from dune_rl.state.sensor_carrier import SensorCarrier
@@ -55,7 +56,7 @@ CARRIER = SensorCarrier(
 SMALL = {
     "camera": {"outputs": ["rgb", "grey", "depth", "segmentation", "normals"], "width": 12, "height": 8},
     "lidar_3d": {"outputs": ["range", "intensity", "segmentation"], "n_rings": 4, "n_beams": 24},
-    "named": {
+    **{
         "bare_ground": {"sensor": "height_scan", "source": "terrain"},
         "rear": {
             "sensor": "camera",
@@ -127,19 +128,22 @@ def states(step: int, rng: np.random.Generator) -> tuple[GroupState, GroupState]
 @pytest.mark.parametrize("faulty", [False, True], ids=["perfect", "faulty"])
 @pytest.mark.parametrize("enabled", KINDS, ids=lambda names: names[0])
 def test_three_agents_in_a_scene_read_what_three_scenes_do(enabled, faulty):
-    realism = {name: conf for name, conf in FAULTS.items() if name in enabled} if faulty else {}
-    conf = SensorsConf.model_validate({**SMALL, "enabled": enabled, "realism": realism})
-    assert_same(conf, None)
+    faults = FAULTS if faulty else {}
+    entries = {
+        name: {**entry, "realism": faults[name]} if name in enabled and name in faults else entry
+        for name, entry in {**{kind: {} for kind in FAULTS}, **SMALL}.items()
+    }
+    assert_same(parse_sensors({**entries, "enabled": enabled}), None)
 
 
 @pytest.mark.parametrize(
     "enabled", [["lidar", "lidar_past"], ["lidar_3d"], ["depth_strip"]], ids=lambda n: n[0]
 )
 def test_agents_of_a_scene_share_its_air(enabled):
-    assert_same(SensorsConf.model_validate({**SMALL, "enabled": enabled}), thick_air)
+    assert_same(parse_sensors({**SMALL, "enabled": enabled}), thick_air)
 
 
-def assert_same(conf: SensorsConf, air: Callable[[int], BeamMedia] | None) -> None:
+def assert_same(conf: Mapping[str, SensorSettings], air: Callable[[int], BeamMedia] | None) -> None:
     """Two scenes of three agents, and six of one agent, read the same at each begin and step."""
     scenes = SensorSuite(conf, context(WORLDS, ROWS, air))
     singles = SensorSuite(conf, context(tuple(np.repeat(np.array(WORLDS, object), AGENTS)), ROWS, air))

@@ -6,11 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 from scanning import flat_with
+from sensor_contexts import context_of, rays_of
 from sensors_of_rover_zero import height_scan_conf
 from states import begin, measure, state_at
 
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.geometry.rays import RayScene
 from dune_rl.sensors.height_scan import HeightScan, HeightScanConf
 from dune_rl.worlds.flat import FlatConf, build_flat
 from dune_rl.worlds.inspection.build import InspectionConf, build_inspection
@@ -22,9 +22,8 @@ every_source = pytest.mark.parametrize("source", ["terrain", "solid"])
 
 
 def scan_in(world: World, scenes: int = 1, **conf: object) -> HeightScan:
-    solid = world.solid_mesh()
-    rays = RayScene(solid.vertices, solid.faces)
-    return HeightScan(height_scan_conf(**conf), rays, world.terrain, scenes)
+    context = context_of(scenes, solid=rays_of(world), terrain=world.terrain)
+    return HeightScan("height_scan", context, height_scan_conf(**conf))
 
 
 def heights(scan: HeightScan, position: np.ndarray = STANDING, yaw: float = 0.0) -> np.ndarray:

@@ -5,6 +5,7 @@ import pytest
 import trimesh
 from cameras import EVERYTHING, PLAIN, STANDING, look, pinhole_directions
 from poses import seen_at
+from sensor_contexts import context_of
 from sensors_of_rover_zero import camera_conf, depth_strip_conf, lidar_3d_conf, lidar_conf
 from states import standing_at
 
@@ -114,7 +115,8 @@ def test_beams_end_at_the_side_of_a_body_that_leans(mesh, pose):
     assert lidar.ranges(at, level, pose[None, None])[0, middle] == pytest.approx(expected, abs=1e-3)
     outputs = ("range", "intensity", "segmentation")
     conf = lidar_3d_conf(n_rings=3, n_beams=64, range_m=20.0, outputs=outputs)
-    rings = Lidar3d(conf, rays, beam_surface(PLAIN), [mesh], 1)
+    context = context_of(solid=rays, surfaces=beam_surface(PLAIN), meshes=[mesh])
+    rings = Lidar3d("lidar_3d", context, conf)
     found = {name: values[0, 1, 32, 0] for name, values in rings.scan(at, level, pose[None, None]).items()}
     assert found["lidar_3d_range"] == pytest.approx(expected, abs=1e-3)
     assert found["lidar_3d_segmentation"] == Segment.ACTOR
@@ -129,12 +131,8 @@ def test_beams_end_at_the_side_of_a_body_that_leans(mesh, pose):
     ]
     ratio = found["lidar_3d_intensity"] / other["lidar_3d_intensity"][0, 1, 32, 0]
     assert ratio == pytest.approx(cosines[0] / cosines[1] * fading[1] / fading[0], rel=1e-3)
-    strip = DepthStrip(
-        depth_strip_conf(columns=33, rows=1, lowest_elevation_deg=0.0, highest_elevation_deg=0.0),
-        rays,
-        [mesh],
-        1,
-    )
+    level_conf = depth_strip_conf(columns=33, rows=1, lowest_elevation_deg=0.0, highest_elevation_deg=0.0)
+    strip = DepthStrip("depth_strip", context, level_conf)
     assert strip.depths(at, level, pose[None, None])[0, 16] == pytest.approx(expected, abs=1e-3)
 
 

@@ -9,12 +9,12 @@ from poses import seen_at
 from pydantic import ValidationError
 from scanning import SIZE_M, flat_with, lidar_in, turned
 from scenes import about
+from sensor_contexts import context_of, rays_of
 from sensors_of_rover_zero import lidar_3d_conf, lidar_conf
 from states import begin, measure, state_at
 
 from dune_rl.bodies.person import PersonConf
 from dune_rl.geometry.frames import rotation_matrices
-from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.beam_surface import luminance
 from dune_rl.rendering.light import srgb_to_linear
 from dune_rl.rendering.scenery import Segment
@@ -37,15 +37,8 @@ MAST_M = 0.125 + 0.196
 def lidar_3d_in(
     world: World, actors: tuple[PersonConf, ...] = (), scenes: int = 1, **conf: object
 ) -> Lidar3d:
-    solid = world.solid_mesh()
-    settings = lidar_3d_conf(**{"outputs": EVERYTHING, **conf})
-    return Lidar3d(
-        settings,
-        RayScene(solid.vertices, solid.faces),
-        beam_surface(world),
-        meshes_of(actors),
-        scenes,
-    )
+    context = context_of(scenes, solid=rays_of(world), surfaces=beam_surface(world), meshes=meshes_of(actors))
+    return Lidar3d("lidar_3d", context, lidar_3d_conf(**{"outputs": EVERYTHING, **conf}))
 
 
 def scan(

@@ -8,6 +8,7 @@ from people import meshes_of
 from poses import seen_at
 from scanning import lidar_in, turned
 from scenes import about
+from sensor_contexts import context_of
 from sensors_of_rover_zero import camera_conf, lidar_3d_conf, lidar_conf
 
 from dune_rl.bodies.person import PersonConf
@@ -201,7 +202,9 @@ def test_the_rings_are_pybullet_s(site):
     conf = lidar_3d_conf(outputs=("range", "segmentation"))
     solid = site.world.solid_mesh()
     rays = RayScene(solid.vertices, solid.faces)
-    lidar = Lidar3d(conf, rays, beam_surface(site.world), meshes_of(PEOPLE), 1)
+    lidar = Lidar3d(
+        "lidar_3d", context_of(solid=rays, surfaces=beam_surface(site.world), meshes=meshes_of(PEOPLE)), conf
+    )
     elevation, bearing = np.meshgrid(
         np.deg2rad(np.linspace(15.0, -15.0, 16)), -np.pi + 2 * np.pi / 512 * np.arange(512), indexing="ij"
     )

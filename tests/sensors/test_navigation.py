@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from cameras import AHEAD, with_boxes
 from instruments import ScriptedSensor, limits
-from scanning import flat_with, lidar_in
+from scanning import flat_with
 from scenes import STEP_S, about
+from sensor_contexts import ScanPair
 from sensors_of_rover_zero import lidar_conf
 from simulations import rest, started_simulation
-from states import begin, group_state, joints_from, measure, motion_of, resting, state_of
+from states import begin, group_state, joints_from, measure, motion_of, resting, state_of, write
 
 from dune_rl.env.sensing import sensor_context
 from dune_rl.geometry.frames import (
@@ -21,12 +22,10 @@ from dune_rl.geometry.frames import (
     wrap_angle,
 )
 from dune_rl.rendering.weather import WeatherConf
-from dune_rl.sensors.conf import ROBOT_SENSORS, SensorsConf
-from dune_rl.sensors.kinds import SENSOR_KINDS
+from dune_rl.sensors.conf import parse_sensors
 from dune_rl.sensors.navigation import Navigation
 from dune_rl.sensors.odometry import DriveGeometry
-from dune_rl.sensors.realism.defaults import default_realism
-from dune_rl.sensors.scanner import Scanner
+from dune_rl.sensors.registry import SENSORS
 from dune_rl.sensors.suite import SensorSuite
 from dune_rl.state import GoalState, GroupState
 from dune_rl.state.sensor_carrier import SensorCarrier
@@ -45,6 +44,7 @@ SMALL = {
     "camera": {"width": 12, "height": 8, "outputs": ["rgb", "depth"]},
     "lidar_3d": {"n_rings": 4, "n_beams": 64},
 }
+EVERYTHING = [kind for kind in SENSORS.own if kind not in ("planar_velocity", "nearest_agent", "neighbours")]
 # These have faults by themselves: whole counts, and slip.
 NATURAL = {"encoders", "odometry"}
 
@@ -52,7 +52,12 @@ NATURAL = {"encoders", "odometry"}
 def suite(carrier: SensorCarrier = CARRIER, **settings) -> SensorSuite:
     worlds = BatchedWorlds([(with_boxes(AHEAD), WeatherConf())] * ROWS)
     context = sensor_context(worlds, carrier, [], num_rows=ROWS, step_s=STEP_S)
-    return SensorSuite(SensorsConf.model_validate({**SMALL, **settings}), context)
+    return SensorSuite(parse_sensors({**SMALL, **settings}), context)
+
+
+def with_realism(realism: dict[str, object]) -> dict[str, object]:
+    """Settings of small sensors with faults, by name."""
+    return {name: {**SMALL.get(name, {}), "realism": conf} for name, conf in realism.items()}
 
 
 def moving(step: int) -> GroupState:
@@ -96,8 +101,8 @@ def driven(sensors: SensorSuite, steps: int = 4) -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize("realism", [{"imu": "bno055"}, {"lidar": "rplidar_a2m8"}, {"odometry": {}}])
 def test_once_any_realism_is_set_no_reading_is_the_truth(realism):
-    true = driven(suite(enabled=ROBOT_SENSORS))
-    seen = driven(suite(enabled=ROBOT_SENSORS, realism=realism))
+    true = driven(suite(enabled=EVERYTHING))
+    seen = driven(suite(enabled=EVERYTHING, **with_realism(realism)))
     assert list(seen) == list(true)
     for name in set(true) - NATURAL:
         assert (seen[name] != true[name]).any(), name
@@ -116,24 +121,24 @@ def test_without_realism_all_is_true():
 def test_what_is_set_perfect_stays_so():
     enabled = ("lidar", "imu", "camera")
     true = driven(suite(enabled=enabled))
-    seen = driven(suite(enabled=enabled, realism={"imu": "mpu6050", "lidar": "perfect"}))
+    seen = driven(suite(enabled=enabled, **with_realism({"imu": "mpu6050", "lidar": "perfect"})))
     np.testing.assert_array_equal(seen["lidar"], true["lidar"])
     assert (seen["imu"] != true["imu"]).any() and (seen["camera_rgb"] != true["camera_rgb"]).any()
 
 
 def test_a_named_sensor_s_realism_counts():
     named = {"rear": {"sensor": "camera", "realism": "raspberry_pi_v2", "width": 8, "height": 6}}
-    sensors = suite(enabled=("rear", "goal"), named=named)
+    sensors = suite(enabled=("rear", "goal"), **named)
     assert sensors.navigation is not None
     assert (driven(sensors)["goal"] != driven(suite(enabled=("goal",)))["goal"]).any()
 
 
 @pytest.mark.parametrize("control_hz", [10.0, 20.0, 30.0, 50.0, 100.0])
 def test_default_parts_fit_any_control_rate(control_hz):
-    kinds = [kind for kind in SENSOR_KINDS if default_realism(kind, 0.05) is not None]
-    assert {"imu", "lidar", "camera", "position"} <= set(kinds)
-    for kind in kinds:
-        assert default_realism(kind, 1.0 / control_hz).steps(1.0 / control_hz)
+    devices = {kind: SENSORS.settings_class(kind).default_realism for kind in SENSORS.own}
+    assert all(devices[kind] is not None for kind in ("imu", "lidar", "camera", "position"))
+    for device in devices.values():
+        assert device is None or device.fit_to(1.0 / control_hz).steps(1.0 / control_hz)
 
 
 # -- derived channels ----------------------------------------------------------------------------------
@@ -147,7 +152,7 @@ SHOWN = ("imu", "position", "odometry", "velocity", "goal")
 
 
 def test_goal_and_velocity_follow_from_the_other_readings():
-    sensors = suite(enabled=SHOWN, realism=FAULTY)
+    sensors = suite(enabled=SHOWN, **with_realism(FAULTY))
     seen, now = driven(sensors), moving(3)
     np.testing.assert_array_equal(seen["velocity"], np.stack([seen["odometry"][:, 3], seen["imu"][:, 5]], 1))
     offset = now.goal.position_w - seen["position"][:, :2]
@@ -160,7 +165,7 @@ def test_goal_and_velocity_follow_from_the_other_readings():
 
 
 def test_the_controller_knows_what_the_instruments_read():
-    sensors = suite(enabled=SHOWN, realism=FAULTY)
+    sensors = suite(enabled=SHOWN, **with_realism(FAULTY))
     seen, now = driven(sensors), moving(3)
     known = sensors.controller_motion(now)
     np.testing.assert_array_equal(known.angular_b, seen["imu"][:, 3:6])
@@ -168,14 +173,14 @@ def test_the_controller_knows_what_the_instruments_read():
     np.testing.assert_array_equal(known.velocity_b[:, 0], seen["odometry"][:, 3])
     assert not known.velocity_b[:, 1:].any()
     # It is so whether they are observed or not.
-    hidden = suite(enabled=("lidar",), realism=FAULTY)
+    hidden = suite(enabled=("lidar",), **with_realism(FAULTY))
     driven(hidden)
     np.testing.assert_array_equal(hidden.controller_motion(now).angular_b, known.angular_b)
     assert hidden.needs_joints
 
 
 def test_a_velocity_with_faults_of_its_own_has_those():
-    sensors = suite(enabled=("velocity",), realism={"velocity": {"forward": {"quantum": 0.25}}})
+    sensors = suite(enabled=("velocity",), velocity={"realism": {"forward": {"quantum": 0.25}}})
     seen, now = driven(sensors), moving(3)
     expected = np.rint(now.motion.velocity_b[:, 0] / 0.25) * 0.25
     np.testing.assert_allclose(seen["velocity"][:, 0], expected, atol=1e-6)
@@ -183,7 +188,7 @@ def test_a_velocity_with_faults_of_its_own_has_those():
 
 
 def test_without_wheels_the_speed_is_that_of_the_legs():
-    sensors = suite(replace(CARRIER, drive=None), enabled=("velocity", "imu"), realism={"imu": "perfect"})
+    sensors = suite(replace(CARRIER, drive=None), enabled=("velocity", "imu"), imu={"realism": "perfect"})
     seen, now = driven(sensors), moving(3)
     off = seen["velocity"][:, 0] - now.motion.velocity_b[:, 0]
     assert 0.0 < np.abs(off).max() < 0.3
@@ -193,7 +198,7 @@ def test_without_wheels_the_speed_is_that_of_the_legs():
 
 def test_a_sensor_that_takes_the_name_of_an_instrument_leaves_it_alone():
     named = {"velocity": {"sensor": "planar_velocity", "realism": "perfect"}}
-    sensors = suite(enabled=("velocity", "imu"), named=named, realism={"imu": "perfect"})
+    sensors = suite(enabled=("velocity", "imu"), **named, imu={"realism": "perfect"})
     seen, now = driven(sensors), moving(3)
     assert "velocity" in sensors.navigation.instruments
     yaw = now.motion.yaw
@@ -248,10 +253,9 @@ def test_uphill_it_climbs_and_an_episode_begins_at_the_origin():
 def test_a_past_scan_is_carried_by_what_the_robot_believes(segments):
     walls = flat_with((4.0, 0.0, 0.0, 0.2, 3.0), (-2.0, 3.0, 0.3, 2.0, 0.2), (0.0, -5.0, 0.0, 1.0, 0.2))
     navigation, imu, _ = scripted(1)
-    lidar = lidar_in(walls, conf=lidar_conf(mount_b=(0.0, 0.0, 0.2)))
-    sensor = Scanner(lidar, ("lidar", "lidar_past"), 1, 2, None, "lidar", navigation)
+    sensor = ScanPair(walls, lidar_conf(mount_b=(0.0, 0.0, 0.2)), navigation=navigation)
     standing = resting(1)
-    standing.position_w[:, 2] = 0.125
+    write(standing.position_w, (slice(None), 2), 0.125)
     begin(navigation, np.ones(1, bool), group_state(standing))
     begin(sensor, np.ones(1, bool), group_state(standing))
     for step in (1, 2):
@@ -271,7 +275,7 @@ def test_a_past_scan_is_carried_by_what_the_robot_believes(segments):
 
 def test_a_biased_gyroscope_misleads_the_heading_loop():
     # Rovers told to go straight on: a loop that closes on the yaw rate turns against the gyroscope's bias.
-    faulty = {"realism": {"imu": {"gyroscope": {"bias": 0.3}}, "lidar": "perfect"}}
+    faulty = with_realism({"imu": {"gyroscope": {"bias": 0.3}}, "lidar": "perfect"})
     turns = {}
     for name, sensors in (("perfect", {"enabled": ["imu"]}), ("faulty", {"enabled": ["imu"], **faulty})):
         scenes = started_simulation("flat", 16, sensors=sensors)
@@ -293,7 +297,9 @@ def test_a_goal_is_known_as_well_as_the_receiver_is():
     # Two metres of deviation on each axis; eight episodes of sixteen scenes.
     realism = {"position": {"place": {"bias": 2.0}}, "imu": "perfect"}
     off = []
-    scenes = started_simulation("flat", 16, sensors={"enabled": ["goal", "position"], "realism": realism})
+    scenes = started_simulation(
+        "flat", 16, sensors={"enabled": ["goal", "position"], **with_realism(realism)}
+    )
     for _ in range(8):
         now, seen = scenes.state.groups["rover"], scenes.observe()
         away = now.goal.position_w - now.motion.position_w[:, :2]

@@ -4,25 +4,30 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from sensor_contexts import carrier_of, context_of
 from states import begin, group_state, resting, state_of
 
 from dune_rl.sensors.neighbours import Neighbours, NeighboursConf
 from dune_rl.state import GroupState, Motion
+from dune_rl.state.body_description import BodyDescription
 
 
 def placed(
-    name: str, rows, *, count: int = 1, yaw: float = 0.0, velocity=(0.0, 0.0), **changes
+    name: str, rows, *, count: int = 1, yaw: float = 0.0, velocity=(0.0, 0.0), kind="robot", **body
 ) -> GroupState:
-    """Agents at `rows` (x, y), with one heading and velocity."""
+    """Agents at `rows` (x, y), with one heading and velocity, and a body of a kind."""
     position, n = np.array([[x, y, 0.0] for x, y in rows]), len(rows)
     angles, velocities = np.tile([0.0, 0.0, yaw], (n, 1)), np.tile([*velocity, 0.0], (n, 1))
     motion = Motion(position, angles, velocities, np.zeros((n, 3)), np.zeros(n, bool))
-    return replace(group_state(motion, count=count, name=name), **changes)
+    description = BodyDescription(kind=kind, is_robot=kind == "robot", **body)
+    return replace(group_state(motion, count=count, name=name), body=description)
 
 
 def read(conf: NeighboursConf, now: GroupState, *others: GroupState, fastest: float = 5.0) -> np.ndarray:
     """The list (N, k, 7) or (N, k, 9), which is checked against its bounds."""
-    sensor = Neighbours(conf, len(now.done), fastest)
+    sensor = Neighbours(
+        "neighbours", context_of(len(now.done), carrier=carrier_of(max_speed_mps=fastest - 10.0)), conf
+    )
     sensor.measure(now, state_of(now, *others))
     reading = sensor.read()["neighbours"]
     low, high = sensor.bounds()["neighbours"]
@@ -73,7 +78,7 @@ def test_relative_velocities_are_limited() -> None:
 
 
 def test_alone_the_list_is_empty() -> None:
-    sensor = Neighbours(NeighboursConf(number=2), 3, 5.0, "near")
+    sensor = Neighbours("near", context_of(3), NeighboursConf(number=2))
     begin(sensor, np.ones(3, bool), group_state(resting(3), name="alone"))
     assert sensor.read()["near"].tolist() == [[0.0] * 14] * 3
 

@@ -10,7 +10,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scenes import HULL_HALF_LENGTH_M, STEP_S, WHEEL_RADIUS_M, Drive, box, every_backend, plane
 from states import begin, measure
-from wheels import ALL, TRACK_M, WHEELS, Measured, digests, geometry, reading, wheels_state, within_bounds
+from wheels import (
+    ALL,
+    TRACK_M,
+    WHEELS,
+    Measured,
+    digests,
+    geometry,
+    on_wheels,
+    reading,
+    wheels_state,
+    within_bounds,
+)
 
 from dune_rl.geometry.frames import wrap_angle
 from dune_rl.robots.heading import HeadingConf
@@ -29,7 +40,8 @@ def odometry(
     range_m: float = 100.0,
     wheels: int = WHEELS,
 ) -> Odometry:
-    return Odometry(OdometryConf(range_m=range_m), encoders, geometry(track_m), scenes, wheels, STEP_S)
+    context = on_wheels(encoders, geometry(track_m), scenes, wheels)
+    return Odometry("odometry", context, OdometryConf(range_m=range_m))
 
 
 def roll(sensor: Odometry, *steps: tuple[float, float]) -> np.ndarray:
@@ -200,7 +212,7 @@ def test_wheels_of_a_side_are_averaged():
 def test_other_robots_have_their_wheels_elsewhere():
     # Six wheels, the left ones first, and one that drives nothing of the sides.
     shape = DriveGeometry(0.1, 0.4, left=(0, 1, 2), right=(3, 4, 5))
-    sensor = Odometry(OdometryConf(), IDEAL, shape, 1, 7, STEP_S)
+    sensor = Odometry("odometry", on_wheels(IDEAL, shape, wheels=7), OdometryConf())
     begin(sensor, ALL, wheels_state(np.zeros((1, 7))))
     measure(sensor, wheels_state([[0.0, 0.0, 0.0, 0.4, 0.4, 0.4, 9.0]]))
     np.testing.assert_allclose(reading(sensor)[2:], [0.1, 0.02 / STEP_S, 0.1 / STEP_S], rtol=1e-6)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scenes import STEP_S, Drive, about, every_backend
+from sensor_contexts import context_of
 from states import begin, group_state, measure, motion_of, write
 from wheels import Measured, reading, within_bounds
 
@@ -14,7 +15,9 @@ HEIGHTS = (-1.0, 4.0)
 
 
 def position(conf: PositionConf | None = None, scenes: int = 1, step_s: float = STEP_S) -> Position:
-    return Position(conf or PositionConf(), EXTENT, HEIGHTS, scenes, step_s)
+    return Position(
+        "position", context_of(scenes, step_s=step_s, extent=EXTENT, heights=HEIGHTS), conf or PositionConf()
+    )
 
 
 def standing(
@@ -210,4 +213,4 @@ def test_settings_that_cannot_be_are_refused_by_name(setting, value, told):
 )
 def test_a_world_without_an_inside_is_refused(extent, heights):
     with pytest.raises(ValueError, match=r"extent .* and heights .* \(xmin, xmax, ymin, ymax\)"):
-        Position(PositionConf(), extent, heights, 1, STEP_S)
+        Position("position", context_of(extent=extent, heights=heights), PositionConf())

@@ -7,7 +7,8 @@ from pydantic import ValidationError
 from states import begin, episode_state, measure
 
 from dune_rl.rendering.light import srgb_to_linear
-from dune_rl.sensors.realism.camera import CameraFaults, CameraRealismConf, realistic_camera
+from dune_rl.sensors.realism.camera import CameraFaults, CameraRealismConf
+from dune_rl.sensors.realism.pipeline import realistic
 
 STEP_S = 0.05
 SIZE = (24, 32)
@@ -55,11 +56,11 @@ def light(pictures: np.ndarray) -> np.ndarray:
 
 def test_without_faults_every_byte_stays():
     told = camera(2, "rgb", "depth", "segmentation")
-    assert realistic_camera(told, None, 2, STEP_S) is told
+    assert realistic(told, None, 2, STEP_S) is told
     rng = np.random.default_rng(0)
     for name, (_, high) in told.bounds().items():
         told.now[name][:] = rng.uniform(0, high.max(), told.now[name].shape)
-    sensor = realistic_camera(told, CameraRealismConf(), 2, STEP_S)
+    sensor = realistic(told, CameraRealismConf(), 2, STEP_S)
     begin(sensor, np.array([True, True]), episode_state([0, 1], 0))
     for step in (1, 2):
         assert all(seen.tobytes() == told.now[name].tobytes() for name, seen in sensor.read().items())
@@ -242,7 +243,7 @@ def play(sensor, told: ScriptedSensor, row: int, episode: int, steps: int, besid
 
 def test_an_episode_repeats_itself_wherever_and_whenever_it_is_played():
     told = camera(2, "rgb", "depth")
-    sensor = realistic_camera(told, EVERYTHING, 2, STEP_S)
+    sensor = realistic(told, EVERYTHING, 2, STEP_S)
     begin(sensor, np.array([True, True]), episode_state([900, 900], 0))
     first = play(sensor, told, 0, 7, 9)
     other = play(sensor, told, 1, 8, 5, beside=8)
@@ -285,4 +286,4 @@ def test_settings_out_of_range_are_refused(settings, message):
 
 def test_a_picture_must_be_taken_within_a_control_step():
     with pytest.raises(ValueError, match=r"shutter_s \+ readout_s \(0.06\) must be at most .* 0.05 s"):
-        realistic_camera(camera(1, "grey"), CameraRealismConf(shutter_s=0.02, readout_s=0.04), 1, STEP_S)
+        realistic(camera(1, "grey"), CameraRealismConf(shutter_s=0.02, readout_s=0.04), 1, STEP_S)

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 from pydantic import ValidationError
-from scanning import flat_with, lidar_in, turned
+from scanning import flat_with, turned
+from sensor_contexts import ScanPair
 from sensors_of_rover_zero import lidar_conf
 from simulations import started_simulation
 from states import begin, episode_state, measure, write
@@ -11,7 +12,6 @@ from test_past_scan import STANDING, WALLS
 
 from dune_rl.sensors.lidar import LidarConf, beam_angles
 from dune_rl.sensors.realism.lidar import BeamFaults, LidarRealismConf
-from dune_rl.sensors.scanner import Scanner
 
 CONF = lidar_conf()
 FINE = lidar_conf(n_beams=1024)
@@ -22,9 +22,13 @@ def faulty(
     ranges: np.ndarray, lidar: LidarConf = CONF, seed: int = 5, step: int = 3, **settings
 ) -> np.ndarray:
     """`ranges` (n_beams,) as they are read in 200 episodes, (200, n_beams)."""
-    faults = BeamFaults(LidarRealismConf(**settings), lidar)
+    faults = beam_faults(LidarRealismConf(**settings), lidar)
     true = np.tile(np.asarray(ranges, np.float32), (SCENES, 1))
     return faults.applied(true, episode_state(np.arange(SCENES), step, seed))
+
+
+def beam_faults(conf: LidarRealismConf, lidar: LidarConf = CONF) -> BeamFaults:
+    return BeamFaults(conf, (lidar.min_range_m, lidar.range_m), "lidar", beam_angles(lidar))
 
 
 def round_room(radius: float, lidar: LidarConf = CONF) -> np.ndarray:
@@ -123,14 +127,14 @@ def test_dark_episodes_see_less():
 
 def test_faults_depend_on_the_moment_alone():
     conf = LidarRealismConf(noise_m=0.1, dropout=0.2, half_return_m=6.0)
-    faults = BeamFaults(conf, CONF)
+    faults = beam_faults(conf)
     rng = np.random.default_rng(1)
     true = rng.uniform(0.1, 12.0, (4, 128)).astype(np.float32)
     before = true.copy()
     seen = faults.applied(true, episode_state([4, 9, 2, 7], [1, 5, 0, 2]))
     assert np.array_equal(true, before)
     assert faults.applied(true, episode_state([4, 9, 2, 7], [1, 5, 0, 2])).tobytes() == seen.tobytes()
-    assert BeamFaults(conf, CONF).applied(true[[1]], episode_state([9], [5])).tobytes() == seen[1].tobytes()
+    assert beam_faults(conf).applied(true[[1]], episode_state([9], [5])).tobytes() == seen[1].tobytes()
     for other in (episode_state([9], [6]), episode_state([8], [5]), episode_state([9], [5], seed=6)):
         assert not np.array_equal(faults.applied(true[[1]], other)[0], seen[1])
 
@@ -144,8 +148,8 @@ def test_few_beams_have_faults_too(lidar):
 # -- in the scanner ---------------------------------------------------------------------------------
 
 
-def scanner(faults: BeamFaults | None, delay: int = 2) -> Scanner:
-    return Scanner(lidar_in(flat_with(*WALLS)), ("lidar", "lidar_past"), 2, delay, faults)
+def scanner(realism: LidarRealismConf | None, delay: int = 2) -> ScanPair:
+    return ScanPair(flat_with(*WALLS), CONF.model_copy(update={"realism": realism}), 2, delay)
 
 
 def standing(episodes, steps):
@@ -155,7 +159,7 @@ def standing(episodes, steps):
     return now
 
 
-def scans(sensor: Scanner, episodes, steps: int) -> list[dict[str, np.ndarray]]:
+def scans(sensor: ScanPair, episodes, steps: int) -> list[dict[str, np.ndarray]]:
     begin(sensor, np.array([True, True]), standing(episodes, 0))
     seen = [sensor.read()]
     for step in range(1, steps):
@@ -167,14 +171,14 @@ def scans(sensor: Scanner, episodes, steps: int) -> list[dict[str, np.ndarray]]:
 def test_without_faults_scans_keep_their_bytes():
     plain, off = (
         scans(scanner(None), [0, 1], 4),
-        scans(scanner(BeamFaults(LidarRealismConf(), CONF)), [0, 1], 4),
+        scans(scanner(LidarRealismConf()), [0, 1], 4),
     )
     for one, other in zip(plain, off, strict=True):
         assert all(one[name].tobytes() == other[name].tobytes() for name in ("lidar", "lidar_past"))
 
 
 def test_the_past_scan_sees_the_noise_of_its_time():
-    seen = scans(scanner(BeamFaults(LidarRealismConf(noise_m=0.1), CONF)), [0, 1], 6)
+    seen = scans(scanner(LidarRealismConf(noise_m=0.1)), [0, 1], 6)
     for step in range(2, 6):
         # Standing still, the past scan is the scan of then; seen from the same place, to float32.
         np.testing.assert_allclose(seen[step]["lidar_past"], seen[step - 2]["lidar"], atol=1e-4)
@@ -183,8 +187,8 @@ def test_the_past_scan_sees_the_noise_of_its_time():
 
 def test_a_neighbour_s_new_episode_changes_nothing():
     conf = LidarRealismConf(noise_m=0.1, dropout=0.1)
-    alone = scans(scanner(BeamFaults(conf, CONF)), [3, 4], 5)
-    sensor = scanner(BeamFaults(conf, CONF))
+    alone = scans(scanner(conf), [3, 4], 5)
+    sensor = scanner(conf)
     begin(sensor, np.array([True, True]), standing([3, 4], 0))
     for step in range(1, 4):
         measure(sensor, standing([3, 4], step))

@@ -11,9 +11,9 @@ from states import episode_state, group_state, measure, resting, write
 
 import dune_rl
 from dune_rl.core.errors import ConfigError, RegistryError
-from dune_rl.sensors.conf import SensorsConf
-from dune_rl.sensors.function_sensor import FunctionSensor
-from dune_rl.sensors.registry import _OWN, SENSORS, ReadingBounds
+from dune_rl.sensors.conf import parse_sensors
+from dune_rl.sensors.function_sensor import FunctionSensor, ReadingBounds
+from dune_rl.sensors.registry import SENSORS
 
 
 @pytest.fixture(autouse=True)
@@ -54,11 +54,11 @@ class Counter:
 def test_a_function_and_a_class_are_observed_beside_ours():
     dune_rl.register_sensor(slope)
     dune_rl.register_sensor("steps")(Counter)
-    named = {
+    own = {
         "steeper": {"sensor": "slope", "scale": 100.0},
         "steps": {"columns": 3, "realism": {"latency_s": 0.1}},
     }
-    sensors = {"enabled": ["goal", "slope", "steeper", "steps"], "named": named}
+    sensors = {"enabled": ["goal", "slope", "steeper", "steps"], **own}
     env = dune_rl.parallel_env(world="flat", actors="none", sensors=sensors)
     env.reset(seed=1)
     for _ in range(4):
@@ -74,20 +74,20 @@ def test_a_function_and_a_class_are_observed_beside_ours():
 
 def test_settings_of_a_user_s_sensor_are_checked_and_survive():
     dune_rl.register_sensor(slope)
-    conf = SensorsConf.model_validate({"enabled": ["slope"], "named": {"slope": {"scale": 3.0}}})
-    assert conf.named["slope"].scale == 3.0
-    assert SensorsConf.model_validate(conf.model_dump(mode="json")) == conf
+    conf = parse_sensors({"slope": {"scale": 3.0}})
+    assert conf["slope"].scale == 3.0
+    assert parse_sensors({"slope": conf["slope"].model_dump(mode="json")}) == conf
     assert pickle.loads(pickle.dumps(conf)) == conf
-    for named, message in (
-        ({"slope": {"scale": -1.0}}, r"sensors\.named\.slope\.scale must be above 0\.0 \(got -1\.0\)"),
-        ({"slope": {"scal": 1.0}}, r"sensors\.named\.slope\.scal is not a setting"),
+    for sensors, message in (
+        ({"slope": {"scale": -1.0}}, r"sensors\.slope\.scale must be above 0\.0 \(got -1\.0\)"),
+        ({"slope": {"scal": 1.0}}, r"sensors\.slope\.scal is not a setting"),
         (
             {"mine": {"sensor": "slop"}},
-            r"sensors\.named\.mine: there is no sensor 'slop'.*did you mean slope",
+            r"sensors\.mine: there is no sensor 'slop'.*did you mean slope",
         ),
     ):
         with pytest.raises(ConfigError, match=message):
-            dune_rl.parallel_env(world="flat", sensors={"enabled": ["goal"], "named": named})
+            dune_rl.parallel_env(world="flat", sensors=sensors)
 
 
 def test_what_must_be_set_is_asked_for():
@@ -96,9 +96,7 @@ def test_what_must_be_set_is_asked_for():
     def share(state, group, *, whole: float) -> np.ndarray:
         return group.motion.tilt / whole
 
-    with pytest.raises(
-        ConfigError, match=r"sensor share needs settings: write named: \{share: \{whole: \.\.\.\}\}"
-    ):
+    with pytest.raises(ConfigError, match=r"sensors\.share\.whole is missing; give it a value"):
         dune_rl.parallel_env(world="flat", sensors={"enabled": ["share"]})
 
 
@@ -112,13 +110,8 @@ def test_a_function_without_bounds_is_refused():
 def test_names_of_ours_are_taken_and_each_is_there():
     with pytest.raises(RegistryError, match="cannot be the sensor 'lidar', which dune_rl has"):
         dune_rl.register_sensor("lidar")(slope)
-    from dune_rl.sensors.kinds import SENSOR_KINDS
-
-    assert sorted(_OWN) == sorted(SENSOR_KINDS)
-    for name, kind in SENSOR_KINDS.items():
-        settings = SENSORS.settings_class(name)
-        assert issubclass(settings, kind.settings)
-        assert settings.model_fields["sensor"].default == name
+    for name in SENSORS.own:
+        assert SENSORS.settings_class(name).model_fields["sensor"].default == name
 
 
 # -- the adapter ---------------------------------------------------------------------------------------

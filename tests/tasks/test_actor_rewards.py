@@ -253,4 +253,4 @@ def test_the_tasks_are_options_of_external_actors(task: str, terms: list[str]) -
     assert list(walker.task.rewards) == terms
     assert set(terms) <= set(REWARDS.names()) | {"goal"}
     assert walker.sensors is not None
-    assert list(walker.sensors.enabled) == ["goal", "neighbours", "lidar", "velocity"]
+    assert list(walker.sensors) == ["goal", "neighbours", "lidar", "velocity"]

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from simulations import act, observation, started_simulation
 
-from dune_rl.sensors.conf import SensorsConf
+from dune_rl.sensors.conf import parse_sensors
 from dune_rl.sensors.lidar import LidarConf
+from dune_rl.sensors.settings import SensorSettings
 from dune_rl.visualization.contact_sheet import contact_sheet
 from dune_rl.visualization.overlay import draw_overlays
 
@@ -28,7 +29,7 @@ TITLES = {
 }
 
 
-def panels(readings: dict[str, np.ndarray], conf: SensorsConf) -> list[str]:
+def panels(readings: dict[str, np.ndarray], conf: dict[str, SensorSettings]) -> list[str]:
     """Titles of a sheet's panels, the sheet being drawn."""
     figure = contact_sheet(readings, conf, PICTURE, "a title")
     figure.canvas.draw()
@@ -37,12 +38,12 @@ def panels(readings: dict[str, np.ndarray], conf: SensorsConf) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def everything() -> Iterator[tuple[dict[str, np.ndarray], SensorsConf]]:
+def everything() -> Iterator[tuple[dict[str, np.ndarray], dict[str, SensorSettings]]]:
     simulation = started_simulation("flat", sensors="all")
     act(simulation, [0.0, 0.0])
     suite = simulation.group().suite
     assert suite is not None
-    yield {name: value[0] for name, value in observation(simulation).items()}, suite.conf
+    yield {name: value[0] for name, value in observation(simulation).items()}, suite.settings
     simulation.close()
 
 
@@ -71,7 +72,7 @@ def test_any_reading_alone_makes_a_sheet(name: str, everything) -> None:
 
 
 def test_what_meets_nothing_makes_a_sheet_too() -> None:
-    conf = SensorsConf()
+    conf = parse_sensors(["lidar", "lidar_3d", "depth_strip", "camera"])
     nothing = {
         "lidar": np.full(32, 12.0, np.float32),
         "lidar_3d_range": np.full((16, 32, 1), 30.0, np.float32),
@@ -83,11 +84,13 @@ def test_what_meets_nothing_makes_a_sheet_too() -> None:
 
 
 def test_a_camera_that_sees_only_sky_makes_a_sheet_too() -> None:
-    assert len(panels({"camera_depth": np.full((8, 8, 1), 100.0, np.float32)}, SensorsConf())) == 2
+    assert (
+        len(panels({"camera_depth": np.full((8, 8, 1), 100.0, np.float32)}, parse_sensors(["camera"]))) == 2
+    )
 
 
 def test_a_strip_of_one_column_makes_a_sheet_too() -> None:
-    conf = SensorsConf.model_validate({"depth_strip": {"columns": 1}})
+    conf = parse_sensors({"depth_strip": {"columns": 1}})
     assert len(panels({"depth_strip": np.full(1, 2.0, np.float32)}, conf)) == 2
 
 

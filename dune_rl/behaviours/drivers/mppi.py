@@ -81,7 +81,7 @@ class Mppi(BoundBehaviour):
         if missing or context.lidar is None:
             raise ConfigError(
                 f"mppi cannot act for the group {context.group}: it needs the sensors goal, lidar and "
-                f"velocity, and has no {' and no '.join(missing) or 'lidar'}; add to sensors.enabled"
+                f"velocity, and has no {' and no '.join(missing) or 'lidar'}; add to its sensors"
             )
         super().bind(context)
         lidar = context.lidar

@@ -75,7 +75,7 @@ def _compare_lidar(
     suite = simulation.group().suite
     if suite is None:
         raise ConfigError("parts=[sensors] needs a group with sensors")
-    settings = suite.conf.lidar
+    settings = suite.settings_of("lidar")
     solid = world.solid_mesh()
     lidar = Lidar(settings, RayScene(solid.vertices, solid.faces), [])
     no_neighbours = np.zeros((conf.scenes, 0, POSE_COLUMNS))

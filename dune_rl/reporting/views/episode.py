@@ -1,6 +1,6 @@
 """An episode of one scene under a policy, rendered from behind one of its agents."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from dune_rl.learning.group_policy import Policy
 from dune_rl.learning.policies import built_in_policy
 from dune_rl.learning.saved_policies import load_policy
 from dune_rl.reporting.views.tracks import EndingRecorder
-from dune_rl.sensors.conf import SensorsConf
+from dune_rl.sensors.settings import SensorSettings
 
 Picture = NDArray[np.uint8]
 
@@ -73,9 +73,9 @@ class EpisodeView:
                 return
 
     @property
-    def sensors(self) -> SensorsConf:
-        """Settings of the agent's sensors; the defaults where it has none."""
-        return SensorsConf() if self.group.suite is None else self.group.suite.conf
+    def sensors(self) -> Mapping[str, SensorSettings]:
+        """Settings of the agent's sensors by name."""
+        return {} if self.group.suite is None else self.group.suite.settings
 
     def readings(self) -> dict[str, NDArray[Any]]:
         """The agent's readings by name, without the axes of scenes and agents."""

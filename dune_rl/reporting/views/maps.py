@@ -20,6 +20,7 @@ from dune_rl.env.starts.placement import draw_starts
 from dune_rl.geometry.arrays import Array
 from dune_rl.reporting.views.episode import SENSORS_OF_POLICIES, policy_factory
 from dune_rl.reporting.views.tracks import TrackRecorder
+from dune_rl.sensors.conf import parse_sensors
 from dune_rl.tasks.spawn import SpawnConf
 from dune_rl.visualization.site_map.colours import OBSTACLES, PATHS
 from dune_rl.visualization.site_map.figure import draw_site_map
@@ -142,7 +143,7 @@ def _with_needed_sensors(conf: ViewConf) -> ViewConf:
     if conf.checkpoint is not None or any(reads_sensors(group.controller) for group in conf.groups):
         return conf
     needed = SENSORS_OF_POLICIES.get(conf.policy or "", ("goal",))
-    return conf.model_copy(update={"sensors": conf.sensors.model_copy(update={"enabled": needed})})
+    return conf.model_copy(update={"sensors": parse_sensors({**conf.sensors, "enabled": needed})})
 
 
 def title(conf: ViewConf) -> str:

@@ -70,7 +70,7 @@ def write_video(
                 continue
             lines = view.status(steps)
             frame = view.render_from_behind(conf.width, conf.height)
-            picture = draw_overlays(frame, view.readings(), view.sensors.lidar, lines, view.ending())
+            picture = draw_overlays(frame, view.readings(), view.sensors.get("lidar"), lines, view.ending())
             add_frame(picture)
             also(picture)
             bar.update(task, completed=steps, state=lines[0])

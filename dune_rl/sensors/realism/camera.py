@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from dune_rl.geometry.arrays import Flags, Floats
 from dune_rl.rendering.light import srgb_to_linear
 from dune_rl.sensors.draws import normal, uniform
-from dune_rl.sensors.realism.pipeline import Realism, RealismConf, Rows
+from dune_rl.sensors.realism.pipeline import RealismConf, Rows
 from dune_rl.sensors.sensor import Bounds, Reading, Sensor
 from dune_rl.state.state import GroupState, State
 
@@ -87,6 +87,10 @@ class CameraRealismConf(RealismConf):
         times = {"shutter_s": share * self.shutter_s, "readout_s": share * self.readout_s}
         return fitted.model_copy(update=times)
 
+    def with_own_faults(self, sensor: Sensor, num_rows: int, step_s: float) -> Sensor:
+        """The camera with the faults of its pictures."""
+        return CameraFaults(sensor, self, num_rows, step_s)
+
     def steps(self, step_s: float) -> tuple[int, int]:
         """As of any sensor; a picture must also be taken within a control step."""
         taken_s = self.shutter_s + self.readout_s
@@ -108,12 +112,12 @@ class CameraFaults:
     step is seen twice rather than smeared.
     """
 
-    def __init__(
-        self, sensor: Sensor, conf: CameraRealismConf, num_rows: int, step_s: float, name: str = "camera"
-    ) -> None:
-        self._sensor, self._conf, self._step_s, self._name = sensor, conf, step_s, name
-        self._depth_name = f"{name}_depth"
+    def __init__(self, sensor: Sensor, conf: CameraRealismConf, num_rows: int, step_s: float) -> None:
+        self._sensor, self._conf, self._step_s = sensor, conf, step_s
         self._bounds = sensor.bounds()
+        # Its readings are called "<name>_<output>".
+        self._name = name = next(iter(self._bounds)).rpartition("_")[0]
+        self._depth_name = f"{name}_depth"
         self._seen: dict[str, Reading] = {
             name: np.zeros((num_rows, *low.shape), low.dtype) for name, (low, _) in self._bounds.items()
         }
@@ -264,12 +268,3 @@ def _means(light: Floats) -> Floats:
     columns = light.reshape(rows, height, width * channels).mean(axis=1)
     means: Floats = columns.reshape(rows, width, channels).mean(axis=1)
     return means[:, None, None]
-
-
-def realistic_camera(
-    sensor: Sensor, conf: CameraRealismConf | None, num_rows: int, step_s: float, name: str = "camera"
-) -> Sensor:
-    """A camera's sensor with the faults of `conf`, rate and latency included; itself where there are none."""
-    if conf is None:
-        return sensor
-    return Realism(CameraFaults(sensor, conf, num_rows, step_s, name), conf, num_rows, step_s)

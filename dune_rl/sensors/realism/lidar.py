@@ -5,9 +5,8 @@ from typing import Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from dune_rl.geometry.arrays import Floats
+from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.sensors.draws import normal, uniform
-from dune_rl.sensors.lidar import LidarConf, beam_angles
 from dune_rl.sensors.realism.pipeline import RealismConf
 from dune_rl.state.state import GroupState
 
@@ -57,24 +56,24 @@ class LidarRealismConf(RealismConf):
 class BeamFaults:
     """Ranges as a real LiDAR gives them; they depend on the true ones and on the moment alone."""
 
-    def __init__(self, conf: LidarRealismConf, lidar: LidarConf, name: str = "lidar") -> None:
-        self._conf, self._name = conf, name
-        self._limits_m, self._count = (lidar.min_range_m, lidar.range_m), lidar.n_beams
-        angles = beam_angles(lidar)
-        self._full_circle = bool(np.isclose(lidar.fov_deg, 360.0))
-        apart = float(angles[1] - angles[0]) if len(angles) > 1 else 0.0
-        # Beams so far apart tell nothing of what lies between them.
-        self._slanted = 0.0 < apart < np.pi / 4 and len(angles) > 2
-        self._cos, self._sin = np.float32(np.cos(apart)), np.float32(np.sin(apart))
+    def __init__(
+        self,
+        conf: LidarRealismConf,
+        limits_m: tuple[float, float],
+        name: str,
+        bearings: Array | None = None,
+    ) -> None:
+        """For ranges between two `limits_m`; `name` tells the draws of several sensors apart.
 
-    @classmethod
-    def of_rings(
-        cls, conf: LidarRealismConf, limits_m: tuple[float, float], count: int, name: str = "lidar 3d"
-    ) -> Self:
-        """For `count` beams of rings, whose ranges end at `limits_m`; all count as met head-on."""
-        faults = cls(conf, LidarConf(), name)
-        faults._limits_m, faults._count, faults._slanted = limits_m, count, False
-        return faults
+        `bearings` [rad] are those of beams in one plane; without them all count as met head-on.
+        """
+        self._conf, self._name, self._limits_m = conf, name, limits_m
+        apart = 0.0 if bearings is None or len(bearings) < 3 else float(bearings[1] - bearings[0])
+        # Beams so far apart tell nothing of what lies between them.
+        self._slanted = 0.0 < apart < np.pi / 4
+        # A full circle leaves out its last beam, which would repeat the first.
+        self._full_circle = bearings is not None and bool(np.isclose(len(bearings) * apart, 2 * np.pi))
+        self._cos, self._sin = np.float32(np.cos(apart)), np.float32(np.sin(apart))
 
     def applied(self, ranges: Floats, now: GroupState) -> Floats:
         """`ranges` (M, n_beams) [m] with faults: `range_m` where nothing returns, otherwise within limits."""
@@ -83,13 +82,21 @@ class BeamFaults:
         returned = ranges < farthest
         if conf.dropout > 0.0 or conf.half_return_m is not None:
             chance = uniform(
-                now.episode.seed, f"{self._name} return", now.episode.streams, now.episode.steps, self._count
+                now.episode.seed,
+                f"{self._name} return",
+                now.episode.streams,
+                now.episode.steps,
+                ranges.shape[1],
             )
             returned &= chance < self._return_share(ranges, now)
         measured = ranges
         if conf.noise_m > 0.0 or conf.noise_share > 0.0:
             noise = normal(
-                now.episode.seed, f"{self._name} noise", now.episode.streams, now.episode.steps, self._count
+                now.episode.seed,
+                f"{self._name} noise",
+                now.episode.streams,
+                now.episode.steps,
+                ranges.shape[1],
             )
             noise *= np.float32(conf.noise_m) + np.float32(conf.noise_share) * ranges
             measured = ranges + noise

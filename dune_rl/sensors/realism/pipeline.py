@@ -57,6 +57,10 @@ class RealismConf(Settings):
             raise ValueError(f"preset must be null (got {data['preset']!r}): no parts are known here")
         return _merged(find_part(data["preset"], cls.kind).settings, data)
 
+    def with_own_faults(self, sensor: Sensor, num_rows: int, step_s: float) -> Sensor:
+        """The sensor with faults that are no noise of single entries; itself where there are none."""
+        return sensor
+
     def channels(self, size: int) -> tuple[NoiseConf, ...]:
         """Faults of each of the `size` entries of a reading; none at all for a sensor with its own."""
         return ()
@@ -268,8 +272,10 @@ class Realism:
 
 
 def realistic(sensor: Sensor, conf: RealismConf | None, num_rows: int, step_s: float) -> Sensor:
-    """`sensor` with the faults of `conf`; itself where there are none."""
-    return sensor if conf is None else Realism(sensor, conf, num_rows, step_s)
+    """`sensor` with the rate, latency and noise of `conf`; itself where this is None."""
+    if conf is None:
+        return sensor
+    return Realism(conf.with_own_faults(sensor, num_rows, step_s), conf, num_rows, step_s)
 
 
 def _merged(part: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:

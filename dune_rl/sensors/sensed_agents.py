@@ -10,7 +10,7 @@ from dune_rl.state.state import GroupState, State
 
 
 @dataclass(frozen=True)
-class Others:
+class SensedAgents:
     """The A agents of the groups that are looked at, for each of N rows.
 
     `position_w` and `velocity_w` are (N, A, 2) [m, m/s]; `present` (N, A) is False for the looking agent
@@ -24,7 +24,7 @@ class Others:
     is_robot: Flags
 
 
-def find_others(names: Sequence[str], observer: GroupState, state: State) -> Others:
+def sense_agents(names: Sequence[str], observer: GroupState, state: State) -> SensedAgents:
     """The agents of the groups `names` in the scene of each agent of the group `observer`."""
     rows = len(observer.motion.position_w)
     positions, velocities = [np.zeros((rows, 0, 2))], [np.zeros((rows, 0, 2))]
@@ -44,7 +44,7 @@ def find_others(names: Sequence[str], observer: GroupState, state: State) -> Oth
         present.append(there)
         radii.append(np.full(other.count, other.body.radius_m))
         robots.append(np.full(other.count, other.body.is_robot))
-    return Others(
+    return SensedAgents(
         np.concatenate(positions, axis=1),
         np.concatenate(velocities, axis=1),
         np.concatenate(present, axis=1),
@@ -53,8 +53,8 @@ def find_others(names: Sequence[str], observer: GroupState, state: State) -> Oth
     )
 
 
-def find_goals(names: Sequence[str], observer: GroupState, state: State) -> Array:
-    """The goals (N, A, 2) [m] of the agents that `find_others` finds, in the same order."""
+def sense_goals(names: Sequence[str], observer: GroupState, state: State) -> Array:
+    """The goals (N, A, 2) [m] of the agents that `sense_agents` finds, in the same order."""
     rows = len(observer.motion.position_w)
     goals = [np.zeros((rows, 0, 2))]
     for name in names:
