@@ -1,5 +1,6 @@
 """Vehicles, animals and drones: how they move, stop, lean with the ground, and where they do not go."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -338,6 +339,24 @@ def test_go_to_goal_reaches_goals_all_round_a_vehicle(name: str) -> None:
         body.command(driver.act(state, state), body.motion)
         body.read()
     assert reached.all()
+
+
+def test_an_episode_does_not_begin_with_the_way_round_of_the_last_one() -> None:
+    """Goals at the side, inside the tightest curve and then on it."""
+    driver = GoToGoal(2)
+    body = bodies("car", (0.0, 0.0, 0.0)).description
+
+    def heading(radii: float) -> list[float]:
+        distance = np.full(2, radii * body.turning_radius_m)
+        goal = SimpleNamespace(distance=distance, bearing=np.full(2, np.pi / 2))
+        group: Any = SimpleNamespace(goal=goal, body=replace(body, rear_axle_m=0.0))
+        found: list[float] = driver.act(group, group)[:, 1].tolist()
+        return found
+
+    assert heading(1.0) == [0.0, 0.0]
+    assert heading(2.0) == [0.0, 0.0]
+    driver.reset(np.array([False, True]), Any)
+    assert heading(2.0) == [0.0, np.pi / 2]
 
 
 def test_vehicles_start_towards_a_way_that_they_can_go() -> None:
