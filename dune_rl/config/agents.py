@@ -23,7 +23,7 @@ from dune_rl.config.controller_settings import (
 )
 from dune_rl.core.errors import DuneError
 from dune_rl.core.settings import Settings
-from dune_rl.core.suggestions import closest, one_of
+from dune_rl.core.suggestions import advise, one_of
 from dune_rl.metrics.episode import MetricsConf
 from dune_rl.robots.registry import ROBOTS
 from dune_rl.robots.settings import RobotSettings
@@ -63,8 +63,7 @@ def _parse_body(value: Any) -> Any:
             return BODIES.parse_settings(value)
         known = [*bodies, *ROBOTS.names()]
         if name not in known:
-            near = closest(name, known)
-            remedy = f"did you mean {near}?" if near else f"choose {one_of(known)}"
+            remedy = advise(name, known)
             raise ValueError(f"there is no body {name!r}; {remedy}")
     return ROBOTS.parse_settings(value)
 

@@ -13,7 +13,7 @@ from dune_rl.config.hydra_session import compose_words
 from dune_rl.config.overrides import ParsedOverrides, option_names
 from dune_rl.config.shorthands import merged
 from dune_rl.core.errors import WorldError
-from dune_rl.core.suggestions import closest, one_of
+from dune_rl.core.suggestions import advise, one_of
 from dune_rl.sensors.conf import complete_entries
 from dune_rl.worlds.registry import WORLDS
 
@@ -102,8 +102,7 @@ def _expanded(group: Mapping[str, Any], path: str, loader: ConfigLoader, faults:
                 with suppress(ValueError):
                     out[section] = complete_entries(out[section])
         else:
-            near = closest(name, known)
-            remedy = f"did you mean {near}?" if near else f"choose {one_of(known)}"
+            remedy = advise(name, known)
             faults.append(f"{path}.{section}: there is no {section} {name!r}; {remedy}")
             out[section] = None
     return out

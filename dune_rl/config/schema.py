@@ -16,7 +16,7 @@ from dune_rl.config.agents import (
 from dune_rl.config.checks import describe_faults
 from dune_rl.config.shorthands import write_agents
 from dune_rl.core.settings import Settings
-from dune_rl.core.suggestions import closest, one_of
+from dune_rl.core.suggestions import advise, one_of
 from dune_rl.env.randomisation import RandomisationConf
 from dune_rl.learning.registry import ALGORITHMS
 from dune_rl.learning.settings import LearningConf
@@ -203,8 +203,7 @@ class EnvConf(Settings):
             for name, term in () if group.metrics is None else group.metrics.terms.items():
                 ending = getattr(term, "termination", DIVERGED)
                 if ending not in known:
-                    near = closest(ending, known)
-                    remedy = f"did you mean {near}?" if near else f"choose {one_of(known)}"
+                    remedy = advise(ending, known)
                     raise ValueError(
                         f"metrics.terms.{name}.termination: there is no termination {ending!r}; {remedy}"
                     )
@@ -276,8 +275,7 @@ class Conf(EnvConf):
         faults = []
         for name in learning.groups:
             if name not in names:
-                near = closest(name, names)
-                remedy = f"did you mean {near}?" if near else f"choose {one_of(names)}"
+                remedy = advise(name, names)
                 faults.append(f"learning.groups.{name}: there is no external group {name!r}; {remedy}")
                 continue
             try:
@@ -310,7 +308,6 @@ class Conf(EnvConf):
     def _objective_is_a_metric(self) -> Self:
         known = [] if self.driven_group.metrics is None else metric_names(self.driven_group.metrics)
         if self.objective not in known:
-            near = closest(self.objective, known)
-            remedy = f"did you mean {near}?" if near else f"choose {one_of(known)}"
+            remedy = advise(self.objective, known)
             raise ValueError(f"objective: there is no metric {self.objective!r}; {remedy}")
         return self

@@ -16,7 +16,7 @@ from dune_rl.core import plugins
 from dune_rl.core.errors import DuneError, DuneWarning, RegistryError
 from dune_rl.core.settings import Settings
 from dune_rl.core.signatures import PartSignature, derive_settings, read_signature, with_article
-from dune_rl.core.suggestions import closest, one_of
+from dune_rl.core.suggestions import advise, one_of
 
 ProductT = TypeVar("ProductT")
 Target = TypeVar("Target", bound=Callable[..., Any])
@@ -171,8 +171,7 @@ class Registry(Generic[ProductT]):
     def unknown(self, name: str) -> str:
         """Error message for an unknown name, with a suggestion."""
         known = self.names()
-        near = closest(name, known)
-        remedy = f"did you mean {near}?" if near else f"choose {one_of(known)}"
+        remedy = advise(name, known)
         return (
             f"there is no {self.kind} {name!r} (is the package that brings it installed?); {remedy}"
             if known

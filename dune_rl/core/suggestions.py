@@ -14,3 +14,10 @@ def one_of(words: Iterable[str]) -> str:
     """The words as a choice: "a, b or c"."""
     listed = list(words)
     return listed[0] if len(listed) == 1 else f"{', '.join(listed[:-1])} or {listed[-1]}"
+
+
+def advise(word: str, known: Iterable[str]) -> str:
+    """What to write instead of an unknown word: "did you mean b?" or "choose a, b or c"."""
+    listed = list(known)
+    near = closest(word, listed)
+    return f"did you mean {near}?" if near else f"choose {one_of(listed)}"

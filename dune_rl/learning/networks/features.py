@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from dune_rl.core.errors import ConfigError
-from dune_rl.core.suggestions import closest, one_of
+from dune_rl.core.suggestions import advise
 from dune_rl.learning.networks.architecture import Architecture
 from dune_rl.learning.networks.registry import ENCODERS, parse_encoder
 from dune_rl.learning.policy_spec import PackedObservation, PartSpec, PolicySpec
@@ -148,8 +148,7 @@ def _stacked(spec: PolicySpec, keys: Sequence[str]) -> PartSpec:
 def _check_names(spec: PolicySpec, named: Mapping[str, Any]) -> None:
     for key in named:
         if key not in spec.keys:
-            near = closest(key, spec.keys)
-            remedy = f"did you mean {near}?" if near else f"choose {one_of(spec.keys)}"
+            remedy = advise(key, spec.keys)
             raise ConfigError(
                 f"learning.networks.{key} encodes no part of the observation; {remedy} (for one group of "
                 "agents alone, write learning.groups.GROUP.networks)"

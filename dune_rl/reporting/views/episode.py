@@ -11,7 +11,7 @@ from torchrl.envs import EnvBase
 from dune_rl.config.build import make_torchrl_env
 from dune_rl.config.commands import ViewConf
 from dune_rl.core.errors import ConfigError
-from dune_rl.core.suggestions import closest, one_of
+from dune_rl.core.suggestions import advise
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.pictures import Pictures
 from dune_rl.env.simulation import VectorSimulation
@@ -33,8 +33,7 @@ def find_agent(simulation: VectorSimulation, name: str | None) -> tuple[AgentGro
         return simulation.group(), 0
     names = [agent for group in simulation.groups for agent in group.names]
     if name not in names:
-        near = closest(name, names)
-        remedy = f"did you mean {near}?" if near else f"choose {one_of(names)}"
+        remedy = advise(name, names)
         raise ConfigError(f"agent: there is no agent {name!r}; {remedy}")
     group = next(group for group in simulation.groups if name in group.names)
     return group, group.names.index(name)
