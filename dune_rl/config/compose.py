@@ -269,7 +269,9 @@ def _finish(
     try:
         return validate(model, complete_sections(data), faults)
     except ConfigError as error:
-        raise ConfigError(name_shorthands(str(error), origins)) from None
+        # Paths are named as they were written.
+        written = {} if request.named_in("agents") else origins
+        raise ConfigError(name_shorthands(str(error), written)) from None
 
 
 def _describe_replaced(
