@@ -6,7 +6,7 @@ from typing import Any
 
 from conf_comments import option_summary, read_comments
 from realism_tables import devices_table, faults_table, sensors_table
-from settings_tables import Section, as_code, first_paragraph, read_section, render_section
+from settings_tables import Section, Setting, as_code, first_paragraph, read_section, render_section
 from vort_table import vort_table
 
 from dune_rl.behaviours.paths.follower import PathConf
@@ -99,9 +99,11 @@ def sensor_settings() -> Section:
 
 
 def environment_settings() -> Section:
-    """`agents`, `robots` and the like: what chooses the agents of a scene."""
-    only = frozenset({"agents", "robots"})
-    return read_section(EnvConf, "", read_comments("environment"), only=only)
+    """`agents`, and `robots`, which writes into it: what chooses the agents of a scene."""
+    comments = read_comments("environment")
+    section = read_section(EnvConf, "", comments, only=frozenset({"agents"}))
+    section.settings.append(Setting("robots", "`null`", "list of robots, or `null`", comments["robots"]))
+    return section
 
 
 def group_settings() -> Section:

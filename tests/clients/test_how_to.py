@@ -55,7 +55,7 @@ COMMANDS = [
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_commands_compose(command: str) -> None:
-    parsed = parse_arguments(shlex.split(command))
+    parsed = parse_arguments(shlex.split(command), sweeps=True)
     assert parsed.multirun
     plain = [word for word in parsed.overrides if not re.match(r"hydra[/.]", word)]
     check_sweep(plain, config_folders(parsed))

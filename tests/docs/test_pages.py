@@ -26,7 +26,7 @@ from user_packages import packages_on_path, shown_files, write_package
 from world_files import write_yard
 
 from dune_rl.__main__ import COMMANDS as PROGRAMS
-from dune_rl.commands import episode_sets
+from dune_rl.commands import episode_sets, robots
 from dune_rl.commands.command_line import config_folders, parse_arguments
 from dune_rl.commands.engines.job import parse_settings as engines_settings
 from dune_rl.config.compose import (
@@ -41,7 +41,6 @@ from dune_rl.core import paths
 from dune_rl.core.errors import ConfigError, DuneError
 from dune_rl.evaluation.episode_sets import read_episode_set
 from dune_rl.reporting.settings import parse_words
-from dune_rl.robots import __main__ as robots
 from dune_rl.trajectories.settings import choose_world
 from dune_rl.trajectories.settings import parse_words as trajectory_words
 
@@ -74,14 +73,14 @@ def compose_command(words: list[str]) -> None:
     if program == "dune_rl":
         return
     if program == "dune_rl.robots":
-        assert robots.main(rest) == 0
+        robots.run(rest)
         return
     if program == "dune_rl.episode_sets":
         asked = episode_sets.parse(rest)
         if asked.command == "make":
             assert [recipe.settings for recipe in episode_sets.named_recipes(asked)]
         return
-    parsed = parse_arguments(rest)
+    parsed = parse_arguments(rest, sweeps=program == "dune_rl.train")
     overrides, folders = parsed.overrides, config_folders(parsed)
     saved = compose(["+world=inspection"]).model_dump(mode="json")
     if program == "dune_rl.train" and override_value(overrides, "resume"):
