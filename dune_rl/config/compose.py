@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any, TypeVar, overload
 
 from hydra.core.config_loader import ConfigLoader
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -86,14 +86,31 @@ def compose_resumed(overrides: Sequence[str], config_dirs: Sequence[str], saved:
     return _compose(Conf, "train", overrides, config_dirs, saved)
 
 
+@overload
 def compose_environment(
     world: str | Mapping[str, Any] | None,
     overrides: Iterable[str] = (),
     settings: Mapping[str, Any] | None = None,
-    model: type[Model] = EnvConf,  # type: ignore[assignment]
     *,
     config_dirs: Sequence[str] = (),
-) -> Model:
+) -> EnvConf: ...
+@overload
+def compose_environment(
+    world: str | Mapping[str, Any] | None,
+    overrides: Iterable[str],
+    settings: Mapping[str, Any] | None,
+    model: type[Model],
+    *,
+    config_dirs: Sequence[str] = (),
+) -> Model: ...
+def compose_environment(
+    world: str | Mapping[str, Any] | None,
+    overrides: Iterable[str] = (),
+    settings: Mapping[str, Any] | None = None,
+    model: type[EnvConf] = EnvConf,
+    *,
+    config_dirs: Sequence[str] = (),
+) -> EnvConf:
     """The settings of an environment alone.
 
     In `settings` a string chooses an option of a group (`actors="none"`), and
