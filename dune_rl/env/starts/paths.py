@@ -1,6 +1,6 @@
 """Starts and goals on paths, and on the trajectories of files."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -8,9 +8,8 @@ from dune_rl.behaviours.paths.follower import PathFollower
 from dune_rl.behaviours.trajectory import TrajectoryFollower
 from dune_rl.core.seeding import stream
 from dune_rl.env.body import Body
-from dune_rl.env.requests import AgentRequest
 from dune_rl.env.starts.region import Spawners
-from dune_rl.env.starts.source import Taken, TakenPlaces
+from dune_rl.env.starts.source import Asked, StartDraw, Taken, TakenPlaces
 from dune_rl.geometry.arrays import Array, Counts, Flags
 from dune_rl.tasks.spawn import Placement
 from dune_rl.worlds.world import World
@@ -28,7 +27,7 @@ class _FollowerStarts:
         """Goals (N, 2) [m]."""
         return self.follower.goals_w
 
-    def check_count(self, world: World, seed: int, episode: int, taken: list[Taken]) -> None:
+    def check_count(self, world: World, draw: StartDraw, taken: list[Taken]) -> None:
         """Nothing: agents on paths start as far from others as their paths allow."""
 
     def occupy(self, taken: TakenPlaces, body: Body, scene: int) -> None:
@@ -94,26 +93,17 @@ class PathStarts(_FollowerStarts):
         """None: starts are drawn on the paths."""
         return []
 
-    def place(
-        self,
-        scene: int,
-        seed: int,
-        episode: int,
-        agents: Sequence[int],
-        taken: TakenPlaces,
-        asked: Mapping[int, AgentRequest],
-        attempt: int = 0,
-    ) -> Array:
+    def place(self, draw: StartDraw, agents: Sequence[int], taken: TakenPlaces, asked: Asked) -> Array:
         """Start all agents of a scene on paths, and return the poses of `agents`."""
-        draws = stream(seed, self._starts_stream, episode)
+        draws = stream(draw.seed, self._starts_stream, draw.episode)
         points, discs = taken.all_points, taken.discs if self._steers else None
-        return self.follower.reset(scene, draws, points, discs, self.reach_m)[list(agents)]
+        return self.follower.reset(draw.scene, draws, points, discs, self.reach_m)[list(agents)]
 
-    def admit(self, scene: int, agent: int, seed: int, episode: int, taken: TakenPlaces) -> Array | None:
+    def admit(self, draw: StartDraw, agent: int, taken: TakenPlaces) -> Array | None:
         """A start pose (4) on a path for an agent that comes later; None without room now."""
-        draws = stream(seed, f"arrival {self._group}_{agent}", episode)
+        draws = stream(draw.seed, f"arrival {self._group}_{agent}", draw.episode)
         discs = taken.discs if self._steers else None
-        return self.follower.place_agent(scene, agent, draws, taken.all_points, discs, self.reach_m)
+        return self.follower.place_agent(draw.scene, agent, draws, taken.all_points, discs, self.reach_m)
 
     def hold_back(self, scenes: Counts, poses: Array, absent: Flags | None) -> None:
         """Have agents that are moved along their paths go on from `poses` (S, G, 4 or more)."""
@@ -149,20 +139,11 @@ class TrajectoryStarts(_FollowerStarts):
         poses = self.follower.start_poses(world).tolist()
         return [(Placement(x, y, yaw, x, y), self._radius_m) for x, y, _, yaw in poses]
 
-    def place(
-        self,
-        scene: int,
-        seed: int,
-        episode: int,
-        agents: Sequence[int],
-        taken: TakenPlaces,
-        asked: Mapping[int, AgentRequest],
-        attempt: int = 0,
-    ) -> Array:
+    def place(self, draw: StartDraw, agents: Sequence[int], taken: TakenPlaces, asked: Asked) -> Array:
         """Start all agents of a scene on their trajectories, and return the poses of `agents`."""
-        return self.follower.reset(scene)[list(agents)]
+        return self.follower.reset(draw.scene)[list(agents)]
 
-    def admit(self, scene: int, agent: int, seed: int, episode: int, taken: TakenPlaces) -> Array | None:
+    def admit(self, draw: StartDraw, agent: int, taken: TakenPlaces) -> Array | None:
         """Trajectories have times of their own: nobody comes later."""
         raise AssertionError(f"{self._group} follows trajectories and does not come and go")
 

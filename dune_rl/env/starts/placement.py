@@ -10,7 +10,7 @@ import numpy as np
 from dune_rl.core.errors import WorldError
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.requests import EpisodeRequest
-from dune_rl.env.starts.source import Taken, TakenPlaces
+from dune_rl.env.starts.source import StartDraw, Taken, TakenPlaces
 from dune_rl.geometry.arrays import Counts
 from dune_rl.tasks.spawn import Placement
 from dune_rl.worlds.walkable_points import PointWords, TerrainLimits, check_points
@@ -58,7 +58,7 @@ def check_counts(groups: Sequence[AgentGroup], seed: int, world: World) -> None:
         try:
             for group in in_order(groups):
                 if group.is_there_at_start:
-                    group.starts.check_count(world, seed, episode, taken)
+                    group.starts.check_count(world, StartDraw(0, seed, episode), taken)
             return
         except WorldError:
             if episode == _ATTEMPTS - 1:
@@ -84,7 +84,7 @@ def place_agents(
         raise ValueError(f"{', '.join(others)}: only robots start and go where they are told")
     taken = TakenPlaces(fixed_starts(groups, world))
     for _, ranked in groupby(in_order(groups), key=_rank):
-        _place_together(list(ranked), scene, seed, episode, taken, request)
+        _place_together(list(ranked), StartDraw(scene, seed, episode), taken, request)
 
 
 def draw_starts(groups: Sequence[AgentGroup], world: World, seed: int, episode: int) -> list[Placement]:
@@ -96,15 +96,13 @@ def draw_starts(groups: Sequence[AgentGroup], world: World, seed: int, episode: 
         for group in together:
             if group.presence is not None:
                 group.presence.begin(0, seed, episode)
-        _place_together(together, 0, seed, episode, taken, {}, puts_bodies=False)
+        _place_together(together, StartDraw(0, seed, episode), taken, {}, puts_bodies=False)
     return [placement for placement, _ in taken.placements[first:]]
 
 
 def _place_together(
     groups: Sequence[AgentGroup],
-    scene: int,
-    seed: int,
-    episode: int,
+    draw: StartDraw,
     taken: TakenPlaces,
     request: EpisodeRequest,
     *,
@@ -114,7 +112,7 @@ def _place_together(
     for attempt in range(_ATTEMPTS):
         tried = taken.copy()
         try:
-            placed = _try_placing(groups, scene, seed, episode, tried, request, attempt, puts_bodies)
+            placed = _try_placing(groups, draw._replace(attempt=attempt), tried, request, puts_bodies)
             break
         except WorldError:
             if attempt == _ATTEMPTS - 1:
@@ -126,12 +124,9 @@ def _place_together(
 
 def _try_placing(
     groups: Sequence[AgentGroup],
-    scene: int,
-    seed: int,
-    episode: int,
+    draw: StartDraw,
     taken: TakenPlaces,
     request: EpisodeRequest,
-    attempt: int,
     puts_bodies: bool,
 ) -> dict[str, Taken]:
     """Place groups of equal rank: agents whose starts are requested first, the others away from them.
@@ -139,13 +134,13 @@ def _try_placing(
     Returns the sampled starts and goals by agent.
     """
     placed: dict[str, Taken] = {}
+    scene = draw.scene
     poses = [np.zeros((group.count, 4)) for group in groups]
 
     def place(index: int, group: AgentGroup, agents: Sequence[int]) -> None:
         asked = {agent: request[name] for agent, name in enumerate(group.names) if name in request}
         before = len(taken.placements)
-        found = group.starts.place(scene, seed, episode, agents, taken, asked, attempt)
-        poses[index][list(agents)] = found
+        poses[index][list(agents)] = group.starts.place(draw, agents, taken, asked)
         placed.update(zip([group.names[agent] for agent in agents], taken.placements[before:], strict=False))
 
     given = {name for name, one in request.items() if one.start is not None}
@@ -173,7 +168,8 @@ def admit_arrivals(groups: Sequence[AgentGroup], seed: int, episodes: Counts, st
             scene, agent = divmod(row, group.count)
             if scene in full:
                 continue
-            pose = group.starts.admit(scene, agent, seed, int(episodes[scene]), _taken_now(groups, scene))
+            draw = StartDraw(scene, seed, int(episodes[scene]))
+            pose = group.starts.admit(draw, agent, _taken_now(groups, scene))
             if pose is None:
                 full.add(scene)
             else:

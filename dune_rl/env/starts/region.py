@@ -1,6 +1,6 @@
 """Starts and goals that are sampled in a region of the world."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,7 +9,7 @@ from dune_rl.core.errors import WorldError
 from dune_rl.core.seeding import stream
 from dune_rl.env.body import Body
 from dune_rl.env.requests import AgentRequest
-from dune_rl.env.starts.source import Taken, TakenPlaces
+from dune_rl.env.starts.source import Asked, StartDraw, Taken, TakenPlaces
 from dune_rl.geometry.arrays import Array, Counts, Flags
 from dune_rl.geometry.shared_per_scene import SharedPerScene
 from dune_rl.tasks.spawn import Placement, SpawnConf, Spawner
@@ -123,9 +123,9 @@ class RegionStarts:
             name = self._context.name
             raise WorldError(f"{name} (count {self._count}): {error}" if name else str(error)) from None
 
-    def _stream(self, seed: int, agent: int, episode: int, attempt: int = 0) -> np.random.Generator:
-        again = (attempt,) if attempt else ()
-        return stream(seed, self._context.streams[agent], episode, *again)
+    def _stream(self, draw: StartDraw, agent: int) -> np.random.Generator:
+        again = (draw.attempt,) if draw.attempt else ()
+        return stream(draw.seed, self._context.streams[agent], draw.episode, *again)
 
     # -- worlds -----------------------------------------------------------------------------------
 
@@ -150,22 +150,13 @@ class RegionStarts:
 
     # -- starts -----------------------------------------------------------------------------------
 
-    def place(
-        self,
-        scene: int,
-        seed: int,
-        episode: int,
-        agents: Sequence[int],
-        taken: TakenPlaces,
-        asked: Mapping[int, AgentRequest],
-        attempt: int = 0,
-    ) -> Array:
+    def place(self, draw: StartDraw, agents: Sequence[int], taken: TakenPlaces, asked: Asked) -> Array:
         """Sample starts and goals of a scene's `agents`; see `StartSource.place`."""
-        poses = np.zeros((len(agents), 4))
+        poses, scene = np.zeros((len(agents), 4)), draw.scene
         for index, agent in enumerate(agents):
             row = scene * self._count + agent
             request = asked.get(agent, AgentRequest())
-            self._draws[row] = draws = self._stream(seed, agent, episode, attempt)
+            self._draws[row] = draws = self._stream(draw, agent)
             avoided = () if request.start is not None else taken.placements
             placement = self._sample(self._spawners.of_scene(scene), draws, avoided)
             if agent in asked:
@@ -199,10 +190,10 @@ class RegionStarts:
                 raise ValueError(f"the {what} of {name} ({x:g}, {y:g}) {reason}: choose another")
         return placement
 
-    def admit(self, scene: int, agent: int, seed: int, episode: int, taken: TakenPlaces) -> Array | None:
+    def admit(self, draw: StartDraw, agent: int, taken: TakenPlaces) -> Array | None:
         """A start pose (4) for an agent that comes later; None without room now."""
         try:
-            pose: Array = self.place(scene, seed, episode, [agent], taken, {})[0]
+            pose: Array = self.place(draw, [agent], taken, {})[0]
         except WorldError:
             return None
         return pose
@@ -211,10 +202,10 @@ class RegionStarts:
         """Add the outlines of the bodies of a scene to `taken`."""
         taken.points.append(body.outline_points(scene))
 
-    def check_count(self, world: World, seed: int, episode: int, taken: list[Taken]) -> None:
+    def check_count(self, world: World, draw: StartDraw, taken: list[Taken]) -> None:
         """Add what `place` would sample in `world` to `taken`; raises `WorldError` if there is no room."""
         for agent in range(self._count):
-            placement = self._sample(self._spawners.of(world), self._stream(seed, agent, episode), taken)
+            placement = self._sample(self._spawners.of(world), self._stream(draw, agent), taken)
             taken.append((placement, self.footprint_radius_m))
 
     # -- goals ------------------------------------------------------------------------------------

@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -12,8 +12,19 @@ from dune_rl.geometry.arrays import Array, Counts, Flags
 from dune_rl.tasks.spawn import Placement
 from dune_rl.worlds.world import World
 
+# Requested starts and goals by agent.
+Asked = Mapping[int, AgentRequest]
 # A start and a goal, and the radius of the disc that holds the agent [m].
 Taken = tuple[Placement, float]
+
+
+class StartDraw(NamedTuple):
+    """Which starts are drawn: of a scene's episode of a seed; another `attempt` draws anew."""
+
+    scene: int
+    seed: int
+    episode: int
+    attempt: int = 0
 
 
 @dataclass
@@ -70,28 +81,19 @@ class StartSource(Protocol):
         """Starts that never change, which all other agents avoid."""
         ...
 
-    def check_count(self, world: World, seed: int, episode: int, taken: list[Taken]) -> None:
+    def check_count(self, world: World, draw: StartDraw, taken: list[Taken]) -> None:
         """Add what `place` would sample in `world` to `taken`; raises `WorldError` if there is no room."""
         ...
 
-    def place(
-        self,
-        scene: int,
-        seed: int,
-        episode: int,
-        agents: Sequence[int],
-        taken: TakenPlaces,
-        asked: Mapping[int, AgentRequest],
-        attempt: int = 0,
-    ) -> Array:
+    def place(self, draw: StartDraw, agents: Sequence[int], taken: TakenPlaces, asked: Asked) -> Array:
         """Start poses (len(agents), 4: x, y, z, yaw) of a scene's `agents`, whose goals are set as well.
 
         The places are added to `taken.placements`. `asked` has requested starts and goals by agent. Raises
-        `WorldError` if there is no room; another `attempt` draws anew.
+        `WorldError` if there is no room.
         """
         ...
 
-    def admit(self, scene: int, agent: int, seed: int, episode: int, taken: TakenPlaces) -> Array | None:
+    def admit(self, draw: StartDraw, agent: int, taken: TakenPlaces) -> Array | None:
         """A start pose (4) for an agent that comes later; None without room now."""
         ...
 
