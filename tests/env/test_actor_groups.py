@@ -100,13 +100,13 @@ def test_more_actors_than_fit_is_said_before_anything_is_built() -> None:
         new_simulation("flat", 1, actors={"fleet": driving("truck", 30)}, sensors=["goal"])
     first, last = str(error.value).splitlines()
     assert re.fullmatch(
-        r"fleet \(count 30\): actors\.fleet\.task\.spawn\.region \(-4, 4, -4, 4\) of the world 'flat' has "
+        r"fleet \(count 30\): agents\.fleet\.task\.spawn\.region \(-4, 4, -4, 4\) of the world 'flat' has "
         r"no room for another truck beside \d+ other agents: \d+ of its 64 m² suit it \(3\.\d\d m of "
         r"clearance, slopes up to 25 degrees, for its wheels or feet up to 18, water up to 0\.5 m\)\.",
         first,
     )
     assert last == (
-        "Lower actors.fleet.count, widen agents.fleet.task.spawn.region, lower "
+        "Lower agents.fleet.count, widen agents.fleet.task.spawn.region, lower "
         "agents.fleet.task.spawn.robots_apart_m, or choose a smaller body."
     )
 
@@ -114,7 +114,7 @@ def test_more_actors_than_fit_is_said_before_anything_is_built() -> None:
 @pytest.mark.slow
 def test_a_full_world_cannot_be_widened() -> None:
     everywhere = {"task": {"spawn": {"region": "anywhere", "robots_apart_m": 80.0}}}
-    with pytest.raises(WorldError, match=r"Lower actors\.fleet\.count, take a larger world, lower"):
+    with pytest.raises(WorldError, match=r"Lower agents\.fleet\.count, take a larger world, lower"):
         new_simulation("flat", 1, actors={"fleet": driving("car", 9, **everywhere)}, sensors=["goal"])
 
 
@@ -132,7 +132,7 @@ def test_who_leaves_no_room_is_placed_anew() -> None:
 
 def test_a_region_without_room_is_said() -> None:
     small = {"task": {"spawn": {"region": [-1.0, 1.0, -1.0, 1.0], "min_goal_distance_m": 3.0}}}
-    with pytest.raises(WorldError, match=r"fleet \(truck\): actors\.fleet\.task\.spawn\.min_goal"):
+    with pytest.raises(WorldError, match=r"fleet \(truck\): agents\.fleet\.task\.spawn\.min_goal"):
         new_simulation("flat", 1, actors={"fleet": driving("truck", **small)}, sensors=["goal"])
 
 
