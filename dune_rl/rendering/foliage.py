@@ -10,7 +10,7 @@ import scipy
 from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.shared_per_scene import DerivedCache, SharedPerScene
-from dune_rl.rendering.foliage_marching import TEXELS, march, sample_density
+from dune_rl.rendering.foliage_marching import TEXELS, march_rays, sample_density
 
 # Marching steps: constant part [m], and growth with the distance. For LiDAR beams, for small pictures, whose
 # pixels cover more at a distance, and for large pictures, which show single tufts.
@@ -113,7 +113,7 @@ class Foliage:
     ) -> tuple[Floats, Floats]:
         crossing = np.full(len(directions), np.inf, np.float32)
         means = np.zeros((4, len(directions) if detail else 0), np.float32)
-        march(
+        march_rays(
             self._ground,
             self._cells,
             self._canopy,

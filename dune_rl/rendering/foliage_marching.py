@@ -65,7 +65,7 @@ def _open_way(reach: Any, x0: float, y0: float, per_x: float, per_y: float, x: f
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def march(
+def march_rays(
     ground: Any,
     cells: Any,
     canopy: Any,

@@ -5,12 +5,11 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from dune_rl.geometry.arrays import Flags
 from dune_rl.geometry.frames import clip
 from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.realism.noise import NoiseConf
 from dune_rl.sensors.realism.pipeline import ReadingRealismConf
-from dune_rl.sensors.sensor import Bounds, Reading, joints_of
+from dune_rl.sensors.sensor import VectorSensor, joints_of
 from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.state import GroupState, State
 
@@ -36,7 +35,7 @@ class CurrentsConf(SensorSettings):
     limit_a: float = Field(10.0, gt=0.0, le=1_000.0, description="readings are clipped to this [A]")
 
 
-class Currents:
+class Currents(VectorSensor):
     """The reading "currents", (M, W) [A], clipped to ± `limit_a`: positive where the torque is forward.
 
     Losses in the gears take torque from a motor that drives its wheel, and hold
@@ -48,22 +47,13 @@ class Currents:
 
     def __init__(self, name: str, context: SensorContext, conf: CurrentsConf) -> None:
         num_wheels = context.carrier.num_joints
-        self._name = name
         self._driving_a_per_nm = 1.0 / (conf.torque_constant_nm_per_a * conf.gear_ratio * conf.efficiency)
         self._driven_a_per_nm = self._driving_a_per_nm * conf.efficiency**2
         # Rounded, so that what is clipped stays within bounds that are float32.
         self._limit_a = float(np.float32(conf.limit_a))
         self._num_wheels = num_wheels
-        self._reading = np.zeros((context.num_rows, num_wheels), np.float32)
-
-    def bounds(self) -> dict[str, Bounds]:
-        """Both ways alike."""
-        high = np.full(self._num_wheels, self._limit_a, np.float32)
-        return {self._name: (-high, high)}
-
-    def begin(self, mask: Flags, now: GroupState, state: State) -> None:
-        """As `measure`: nothing is remembered."""
-        self.measure(now, state)
+        highest = np.full(num_wheels, self._limit_a, np.float32)
+        super().__init__(name, context.num_rows, -highest, highest)
 
     def measure(self, now: GroupState, state: State) -> None:
         """Take the present torques."""
@@ -72,7 +62,3 @@ class Currents:
         driving = torque * joints.speed[:, :wheels] > 0.0
         current = torque * np.where(driving, self._driving_a_per_nm, self._driven_a_per_nm)
         self._reading = clip(current, -self._limit_a, self._limit_a).astype(np.float32)
-
-    def read(self) -> dict[str, Reading]:
-        """The present currents."""
-        return {self._name: self._reading.copy()}

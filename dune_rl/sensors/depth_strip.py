@@ -5,13 +5,13 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from dune_rl.geometry.arrays import Array, Flags, Floats
+from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.rendering.foliage import BatchedFoliage
 from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.lidar import Beams, check_elevations, fan
 from dune_rl.sensors.realism.noise import NoiseConf
 from dune_rl.sensors.realism.pipeline import ReadingRealismConf
-from dune_rl.sensors.sensor import MOUNT, Bounds, Mount, Reading
+from dune_rl.sensors.sensor import MOUNT, Mount, VectorSensor
 from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.state import GroupState, State
 
@@ -46,7 +46,7 @@ class DepthStripConf(SensorSettings):
         return self
 
 
-class DepthStrip:
+class DepthStrip(VectorSensor):
     """The reading "depth_strip", (M, columns) [m], of M rovers, moving actors seen.
 
     Columns run counter-clockwise over the field of view, each bearing in the
@@ -58,7 +58,7 @@ class DepthStrip:
     """
 
     def __init__(self, name: str, context: SensorContext, conf: DepthStripConf) -> None:
-        self.conf, self._name = conf, name
+        self.conf = conf
         self._foliage = context.air.foliage
         bearing = np.deg2rad(conf.fov_deg) * ((np.arange(conf.columns) + 0.5) / conf.columns - 0.5)
         highest, lowest = np.deg2rad([conf.highest_elevation_deg, conf.lowest_elevation_deg])
@@ -66,24 +66,12 @@ class DepthStrip:
         self._level = np.cos(elevation)[:, None].astype(np.float32)
         directions_b = fan(bearing, elevation).reshape(-1, 3)
         self._beams = Beams(directions_b, conf.mount_b, conf.range_m, context.solid, context.meshes)
-        self._reading: Floats = np.zeros((context.num_rows, conf.columns), np.float32)
-
-    def bounds(self) -> dict[str, Bounds]:
-        """Depths up to the range."""
-        count = self.conf.columns
-        return {self._name: (np.zeros(count, np.float32), np.full(count, self.conf.range_m, np.float32))}
-
-    def begin(self, mask: Flags, now: GroupState, state: State) -> None:
-        """As `measure`: nothing is remembered."""
-        self.measure(now, state)
+        high = np.full(conf.columns, conf.range_m, np.float32)
+        super().__init__(name, context.num_rows, np.zeros_like(high), high)
 
     def measure(self, now: GroupState, state: State) -> None:
         """Look from where the rovers are."""
         self._reading = self.depths(now.motion.position_w, now.motion.rotation, now.neighbours)
-
-    def read(self) -> dict[str, Reading]:
-        """The latest depths."""
-        return {self._name: self._reading.copy()}
 
     def depths(self, position_w: Array, rotation: Array, neighbours: Array) -> Floats:
         """The reading of rovers at `position_w` (M, 3) [m], turned by `rotation` (M, 3, 3).

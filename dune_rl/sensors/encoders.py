@@ -9,7 +9,7 @@ from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import clip
 from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.realism.pipeline import EncoderRealismConf
-from dune_rl.sensors.sensor import Bounds, Reading, joints_of
+from dune_rl.sensors.sensor import VectorSensor, joints_of
 from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.state import GroupState, State
 
@@ -62,7 +62,7 @@ class WheelCounter:
         return clip(turned, -self.most_rad, self.most_rad)
 
 
-class Encoders:
+class Encoders(VectorSensor):
     """The reading "encoders", (M, 2 * W): how far each wheel has turned in the last control step, and speeds.
 
     Turns [rad] come first; the speeds [rad/s] after them are those turns by the
@@ -73,16 +73,11 @@ class Encoders:
 
     def __init__(self, name: str, context: SensorContext, conf: EncodersConf) -> None:
         num_rows, num_wheels, step_s = context.num_rows, context.carrier.num_joints, context.step_s
-        self._name = name
         self._counter = WheelCounter(conf, num_rows, num_wheels, step_s)
         self._step_s = step_s
         most = self._counter.most_rad
-        self._highest = np.repeat([most, most / step_s], num_wheels).astype(np.float32)
-        self._reading = np.zeros((num_rows, 2 * num_wheels), np.float32)
-
-    def bounds(self) -> dict[str, Bounds]:
-        """Both ways alike: the fastest that is counted."""
-        return {self._name: (-self._highest, self._highest.copy())}
+        highest = np.repeat([most, most / step_s], num_wheels).astype(np.float32)
+        super().__init__(name, num_rows, -highest, highest)
 
     def begin(self, mask: Flags, now: GroupState, state: State) -> None:
         """Nothing has turned in the scenes in `mask` (M,)."""
@@ -93,7 +88,3 @@ class Encoders:
         """Count the control step that has just ended."""
         turned = self._counter.turned(joints_of(now).angle)
         self._reading = np.concatenate([turned, turned / self._step_s], axis=1).astype(np.float32)
-
-    def read(self) -> dict[str, Reading]:
-        """The latest counts."""
-        return {self._name: self._reading.copy()}

@@ -4,11 +4,10 @@ from typing import Literal
 
 import numpy as np
 
-from dune_rl.geometry.arrays import Flags, Floats
 from dune_rl.geometry.frames import wrap_angle
 from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.realism.pipeline import GoalRealismConf
-from dune_rl.sensors.sensor import PI32, Bounds, Reading
+from dune_rl.sensors.sensor import PI32, VectorSensor
 from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.state import GroupState, State
 
@@ -20,7 +19,7 @@ class GoalConf(SensorSettings):
     realism: GoalRealismConf | None = None
 
 
-class Goal:
+class Goal(VectorSensor):
     """The reading `name`, (N, 2): horizontal distance [m], at most the extent's diagonal, and bearing [rad].
 
     The bearing is measured from the agent's heading, counter-clockwise, in [-pi, pi). A robot that navigates
@@ -29,18 +28,10 @@ class Goal:
     """
 
     def __init__(self, name: str, context: SensorContext, conf: GoalConf) -> None:
-        self._name, self._farthest_m = name, context.diagonal_m
-        self._navigation = context.navigation if conf.realism is None else None
-        self._reading: Floats = np.zeros((context.num_rows, 2), np.float32)
-
-    def bounds(self) -> dict[str, Bounds]:
-        """Distances up to the farthest, and whole turns."""
+        self._farthest_m = context.diagonal_m
         low, high = [0.0, -PI32], [self._farthest_m, PI32]
-        return {self._name: (np.array(low, np.float32), np.array(high, np.float32))}
-
-    def begin(self, mask: Flags, now: GroupState, state: State) -> None:
-        """As `measure`: nothing is remembered."""
-        self.measure(now, state)
+        super().__init__(name, context.num_rows, np.array(low, np.float32), np.array(high, np.float32))
+        self._navigation = context.navigation if conf.realism is None else None
 
     def measure(self, now: GroupState, state: State) -> None:
         """Read the present goal."""
@@ -53,7 +44,3 @@ class Goal:
         reading[:, 0] = np.minimum(distance, self._farthest_m)
         reading[:, 1] = bearing
         self._reading = reading
-
-    def read(self) -> dict[str, Reading]:
-        """The latest distance and bearing."""
-        return {self._name: self._reading.copy()}

@@ -5,12 +5,12 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from dune_rl.geometry.arrays import Array, Flags, Floats
+from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.geometry.frames import clip
 from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.realism.noise import NoiseConf
 from dune_rl.sensors.realism.pipeline import ReadingRealismConf
-from dune_rl.sensors.sensor import Bounds, Reading
+from dune_rl.sensors.sensor import VectorSensor
 from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.state import GroupState, State
 
@@ -64,7 +64,7 @@ class HeightScanConf(SensorSettings):
         return self
 
 
-class HeightScan:
+class HeightScan(VectorSensor):
     """The reading "height_scan", (M, rows * columns) [m], of M rovers.
 
     Frame: the rover's position and yaw alone; however it rolls or pitches, the
@@ -77,29 +77,17 @@ class HeightScan:
     """
 
     def __init__(self, name: str, context: SensorContext, conf: HeightScanConf) -> None:
-        self.conf, self._name = conf, name
+        self.conf = conf
         self._solid, self._terrain = context.solid, context.terrain
         ahead = conf.ahead_m + conf.spacing_m * np.arange(conf.rows)
         left = conf.spacing_m * (np.arange(conf.columns) - (conf.columns - 1) / 2)
         self._grid = np.stack(np.meshgrid(ahead, left, indexing="ij"), axis=-1).reshape(-1, 2)
-        self._reading: Floats = np.zeros((context.num_rows, len(self._grid)), np.float32)
-
-    def bounds(self) -> dict[str, Bounds]:
-        """The limit both ways."""
-        high = np.full(len(self._grid), self.conf.limit_m, np.float32)
-        return {self._name: (-high, high)}
-
-    def begin(self, mask: Flags, now: GroupState, state: State) -> None:
-        """As `measure`: nothing is remembered."""
-        self.measure(now, state)
+        highest = np.full(len(self._grid), conf.limit_m, np.float32)
+        super().__init__(name, context.num_rows, -highest, highest)
 
     def measure(self, now: GroupState, state: State) -> None:
         """Scan from where the rovers are."""
         self._reading = self.heights(now.motion.position_w, now.motion.roll_pitch_yaw[:, 2])
-
-    def read(self) -> dict[str, Reading]:
-        """The latest scan."""
-        return {self._name: self._reading.copy()}
 
     def points(self, position_w: Array, yaw: Array) -> Array:
         """Where heights are asked for, (M, rows * columns, 2) [m] in the world.

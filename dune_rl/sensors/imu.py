@@ -11,7 +11,7 @@ from dune_rl.geometry.compiled import compile_function
 from dune_rl.geometry.frames import cross
 from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.realism.pipeline import ImuRealismConf
-from dune_rl.sensors.sensor import MOUNT, PI32, Bounds, Mount, Reading, mount_position
+from dune_rl.sensors.sensor import MOUNT, PI32, Mount, VectorSensor, mount_position
 from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.state import GroupState, State
 
@@ -126,20 +126,14 @@ def _take_reading(
             found[row, 6 + axis] = angles[row, axis]
 
 
-class ImuSensor:
+class ImuSensor(VectorSensor):
     """The reading `name`, (N, 9): specific force, angular velocity and attitude; see `Imu.reading`."""
 
     def __init__(self, name: str, context: SensorContext, conf: ImuConf) -> None:
-        self._imu, self._name = Imu(conf, context.num_rows), name
-        self._step_s = context.step_s
-        self._reading = np.zeros((context.num_rows, 9), np.float32)
-
-    def bounds(self) -> dict[str, Bounds]:
-        """The unit's ranges, and whole turns."""
-        conf = self._imu.conf
+        self._imu, self._step_s = Imu(conf, context.num_rows), context.step_s
         ranges = [conf.acceleration_range_mps2] * 3 + [conf.angular_range_radps] * 3 + [PI32] * 3
         high = np.array(ranges, np.float32)
-        return {self._name: (-high, high)}
+        super().__init__(name, context.num_rows, -high, high)
 
     def begin(self, mask: Flags, now: GroupState, state: State) -> None:
         """Start the episodes in `mask` (M,) unaccelerated."""
@@ -155,7 +149,3 @@ class ImuSensor:
         self._reading = self._imu.reading(
             now.motion.rotation, now.motion.angular_b, now.motion.roll_pitch_yaw
         )
-
-    def read(self) -> dict[str, Reading]:
-        """The latest measurement."""
-        return {self._name: self._reading.copy()}

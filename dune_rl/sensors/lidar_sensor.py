@@ -12,12 +12,12 @@ from dune_rl.sensors.lidar import Lidar, LidarConf, beam_angles
 from dune_rl.sensors.medium import RangeEffect, effects_of
 from dune_rl.sensors.past_scan import PastScan
 from dune_rl.sensors.realism.lidar import BeamFaults
-from dune_rl.sensors.sensor import Bounds, Reading
+from dune_rl.sensors.sensor import Bounds, VectorSensor
 from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.state import GroupState, State
 
 
-class LidarSensor:
+class LidarSensor(VectorSensor):
     """The reading `name`, (N, n_segments) [m]: the nearest return of each segment of a scan.
 
     `lidar` is its geometry. `ranges` (N, n_beams) [m] are those of the latest scan, with what beams meet in
@@ -25,7 +25,8 @@ class LidarSensor:
     """
 
     def __init__(self, name: str, context: SensorContext, conf: LidarConf) -> None:
-        self.lidar, self._name = Lidar(conf, context.solid, context.meshes), name
+        super().__init__(name, context.num_rows, *scan_bounds(conf))
+        self.lidar = Lidar(conf, context.solid, context.meshes)
         limits_m = (conf.min_range_m, conf.range_m)
         self._effects: list[RangeEffect] = [
             *effects_of(context.air, name, self.lidar.directions_b, conf.mount_b, limits_m)
@@ -33,26 +34,13 @@ class LidarSensor:
         if conf.realism is not None:
             self._effects.append(BeamFaults(conf.realism, limits_m, name, beam_angles(conf)))
         self.ranges: Floats = np.zeros((context.num_rows, conf.n_beams), np.float32)
-        self._scan: Floats = np.zeros((context.num_rows, conf.n_segments), np.float32)
-
-    def bounds(self) -> dict[str, Bounds]:
-        """Ranges lie between the LiDAR's smallest and largest."""
-        return {self._name: scan_bounds(self.lidar.conf)}
-
-    def begin(self, mask: Flags, now: GroupState, state: State) -> None:
-        """As `measure`: nothing is remembered."""
-        self.measure(now, state)
 
     def measure(self, now: GroupState, state: State) -> None:
         """Scan once more."""
         self.ranges = self.lidar.ranges(now.motion.position_w, now.motion.rotation, now.neighbours)
         for effect in self._effects:
             self.ranges = effect.applied(self.ranges, now)
-        self._scan = self.lidar.segments(self.ranges)
-
-    def read(self) -> dict[str, Reading]:
-        """The latest scan."""
-        return {self._name: self._scan.copy()}
+        self._reading = self.lidar.segments(self.ranges)
 
 
 class LidarPastConf(SensorSettings):
@@ -70,7 +58,7 @@ class LidarPastConf(SensorSettings):
     past_s: float = Field(0.5, gt=0.0, le=5.0, description="age of the scan [s]")
 
 
-class LidarPast:
+class LidarPast(VectorSensor):
     """The reading `name`, (N, n_segments) [m]: the LiDAR's scan of `past_s` ago, seen from the present pose.
 
     It is carried over by the robot's true motion, or by its instruments where these are faulty.
@@ -80,15 +68,11 @@ class LidarPast:
         sensor = context.sensor_of(conf.lidar)
         if not isinstance(sensor, LidarSensor):
             raise ConfigError(f"sensors.{name}.lidar must be the name of a LiDAR (got {conf.lidar!r})")
-        self._sensor, self._lidar, self._name = sensor, sensor.lidar, name
+        self._sensor, self._lidar = sensor, sensor.lidar
+        super().__init__(name, context.num_rows, *scan_bounds(self._lidar.conf))
         self._navigation = context.navigation
         delay_steps = max(1, round(conf.past_s / context.step_s))
         self._past = PastScan(self._lidar.conf, context.num_rows, delay_steps)
-        self._scan: Floats = np.zeros((context.num_rows, self._lidar.conf.n_segments), np.float32)
-
-    def bounds(self) -> dict[str, Bounds]:
-        """As of the present scan."""
-        return {self._name: scan_bounds(self._lidar.conf)}
 
     def begin(self, mask: Flags, now: GroupState, state: State) -> None:
         """Take the present scan; the rows in `mask` (N,) have seen nothing else before."""
@@ -108,11 +92,7 @@ class LidarPast:
             ends_w = np.empty((*ranges.shape, 3), np.float32)
             self._lidar.store_ends(origin, motion.rotation, ranges, ends_w)
             self._past.restart(begun, ends_w)
-        self._scan = self._past.seen_from(origin, motion.rotation)
-
-    def read(self) -> dict[str, Reading]:
-        """The past scan."""
-        return {self._name: self._scan.copy()}
+        self._reading = self._past.seen_from(origin, motion.rotation)
 
 
 def scan_bounds(conf: LidarConf) -> Bounds:

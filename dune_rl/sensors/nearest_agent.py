@@ -5,13 +5,12 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from dune_rl.geometry.arrays import Flags, Floats
 from dune_rl.geometry.frames import clip, wrap_angle
 from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.realism.noise import NoiseConf
 from dune_rl.sensors.realism.pipeline import ReadingRealismConf
 from dune_rl.sensors.sensed_agents import sense_agents
-from dune_rl.sensors.sensor import MAX_SENSED_SPEED_MPS, PI32, Bounds, Reading
+from dune_rl.sensors.sensor import MAX_SENSED_SPEED_MPS, PI32, VectorSensor
 from dune_rl.sensors.settings import SensorSettings
 from dune_rl.sensors.velocity import heading_frame
 from dune_rl.state.state import GroupState, State
@@ -29,7 +28,7 @@ class NearestAgentConf(SensorSettings):
     groups: tuple[str, ...] = Field((), description="groups that are looked at; none: all but its own")
 
 
-class NearestAgent:
+class NearestAgent(VectorSensor):
     """The reading `name`, (N, 4): distance [m], bearing [rad] and relative velocity (2) of the nearest agent.
 
     Distance is horizontal, from origin to origin, at most the diagonal of the extent. The bearing is measured
@@ -39,20 +38,11 @@ class NearestAgent:
     """
 
     def __init__(self, name: str, context: SensorContext, conf: NearestAgentConf) -> None:
-        self._groups, self._name = conf.groups, name
-        self._farthest_m = context.diagonal_m
-        self._max_closing_mps = MAX_SENSED_SPEED_MPS + context.carrier.max_speed_mps
-        self._reading: Floats = np.zeros((context.num_rows, 4), np.float32)
-
-    def bounds(self) -> dict[str, Bounds]:
-        """Distances up to the farthest, whole turns, and closing speeds."""
-        far, fast = self._farthest_m, self._max_closing_mps
+        self._groups = conf.groups
+        self._farthest_m = far = context.diagonal_m
+        self._max_closing_mps = fast = MAX_SENSED_SPEED_MPS + context.carrier.max_speed_mps
         low, high = [0.0, -PI32, -fast, -fast], [far, PI32, fast, fast]
-        return {self._name: (np.array(low, np.float32), np.array(high, np.float32))}
-
-    def begin(self, mask: Flags, now: GroupState, state: State) -> None:
-        """As `measure`: nothing is remembered."""
-        self.measure(now, state)
+        super().__init__(name, context.num_rows, np.array(low, np.float32), np.array(high, np.float32))
 
     def measure(self, now: GroupState, state: State) -> None:
         """Find the nearest agent of each row and read its motion."""
@@ -75,7 +65,3 @@ class NearestAgent:
         reading[:, 2:] = clip(closing, -self._max_closing_mps, self._max_closing_mps)
         reading[~present.any(axis=1)] = self._farthest_m, 0.0, 0.0, 0.0
         self._reading = reading
-
-    def read(self) -> dict[str, Reading]:
-        """The latest distance, bearing and relative velocity."""
-        return {self._name: self._reading.copy()}

@@ -5,13 +5,12 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from dune_rl.geometry.arrays import Flags, Floats
 from dune_rl.geometry.frames import clip
 from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.realism.noise import NoiseConf
 from dune_rl.sensors.realism.pipeline import ReadingRealismConf
 from dune_rl.sensors.sensed_agents import sense_agents, sense_goals
-from dune_rl.sensors.sensor import MAX_SENSED_SPEED_MPS, Bounds, Reading
+from dune_rl.sensors.sensor import MAX_SENSED_SPEED_MPS, VectorSensor
 from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.state import GroupState, State
 
@@ -34,7 +33,7 @@ class NeighboursConf(SensorSettings):
     goals: bool = Field(False, description="whether it has the goals of robots, too")
 
 
-class Neighbours:
+class Neighbours(VectorSensor):
     """The reading `name`, of the k nearest other agents within `range_m`, the nearest first.
 
     It is (N, 7 k), or (N, 9 k) with `goals`. Of each agent it has 1 for present, the place forward and to the
@@ -46,22 +45,14 @@ class Neighbours:
     """
 
     def __init__(self, name: str, context: SensorContext, conf: NeighboursConf) -> None:
-        self._conf, self._name = conf, name
-        self._max_closing_mps = MAX_SENSED_SPEED_MPS + context.carrier.max_speed_mps
+        self._conf = conf
+        self._max_closing_mps = fast = MAX_SENSED_SPEED_MPS + context.carrier.max_speed_mps
         self._values = _VALUES_WITH_GOAL if conf.goals else _VALUES
-        self._reading: Floats = np.zeros((context.num_rows, conf.number * self._values), np.float32)
-
-    def bounds(self) -> dict[str, Bounds]:
-        """Places within the range, closing speeds, and radii up to the range."""
-        far, fast = self._conf.range_m, self._max_closing_mps
+        far = conf.range_m
         goal = [far] * (self._values - _VALUES)
-        low = np.tile([0.0, -far, -far, -fast, -fast, 0.0, 0.0, *np.negative(goal)], self._conf.number)
-        high = np.tile([1.0, far, far, fast, fast, far, 1.0, *goal], self._conf.number)
-        return {self._name: (low.astype(np.float32), high.astype(np.float32))}
-
-    def begin(self, mask: Flags, now: GroupState, state: State) -> None:
-        """As `measure`: nothing is remembered."""
-        self.measure(now, state)
+        low = np.tile([0.0, -far, -far, -fast, -fast, 0.0, 0.0, *np.negative(goal)], conf.number)
+        high = np.tile([1.0, far, far, fast, fast, far, 1.0, *goal], conf.number)
+        super().__init__(name, context.num_rows, low.astype(np.float32), high.astype(np.float32))
 
     def measure(self, now: GroupState, state: State) -> None:
         """List the agents of each row."""
@@ -91,7 +82,3 @@ class Neighbours:
         reading[:, :number, 6] = others.is_robot[nearest]
         reading[:, :number] *= seen[..., None]
         self._reading = reading.reshape(len(reading), -1).astype(np.float32)
-
-    def read(self) -> dict[str, Reading]:
-        """The latest list."""
-        return {self._name: self._reading.copy()}

@@ -50,6 +50,34 @@ class Sensor(Protocol):
         ...
 
 
+class VectorSensor:
+    """Base of sensors with one reading: `name`, (N, ...), of the shape and type of its bounds.
+
+    A subclass states the bounds of one agent's reading and sets `_reading` in `measure`. Episodes begin with
+    a measurement, unless the subclass remembers something.
+    """
+
+    def __init__(self, name: str, num_rows: int, low: Reading, high: Reading) -> None:
+        self._name, self._low, self._high = name, low, high
+        self._reading: Reading = np.zeros((num_rows, *low.shape), low.dtype)
+
+    def bounds(self) -> dict[str, Bounds]:
+        """Lowest and highest values of the reading, copies."""
+        return {self._name: (self._low.copy(), self._high.copy())}
+
+    def begin(self, mask: Flags, now: GroupState, state: State) -> None:
+        """As `measure`: nothing is remembered."""
+        self.measure(now, state)
+
+    def measure(self, now: GroupState, state: State) -> None:
+        """Set the reading of the present state."""
+        raise NotImplementedError
+
+    def read(self) -> dict[str, Reading]:
+        """The latest reading."""
+        return {self._name: self._reading.copy()}
+
+
 def mount_position(mount: Mount) -> Array:
     """Position of a sensor in the body frame [m], (3,); the origin where `mount` is None."""
     return np.zeros(3) if mount is None else np.asarray(mount, np.float64)

@@ -4,11 +4,16 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from dune_rl.geometry.arrays import Array, Flags, Floats
+from dune_rl.geometry.arrays import Array
 from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.realism.noise import NoiseConf
 from dune_rl.sensors.realism.pipeline import ReadingRealismConf, SpeedRealismConf
-from dune_rl.sensors.sensor import MAX_SENSED_SPEED_MPS, MAX_SENSED_TURN_RADPS, Bounds, Reading, Sensor
+from dune_rl.sensors.sensor import (
+    MAX_SENSED_SPEED_MPS,
+    MAX_SENSED_TURN_RADPS,
+    Sensor,
+    VectorSensor,
+)
 from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.state import GroupState, State
 
@@ -36,20 +41,11 @@ class PlanarVelocityConf(SensorSettings):
     sensor: Literal["planar_velocity"] = "planar_velocity"
 
 
-class Velocity:
+class Velocity(VectorSensor):
     """The reading `name`, (N, 2): forward speed [m/s] and yaw rate [rad/s] in the body frame, clipped."""
 
     def __init__(self, name: str, context: SensorContext, conf: VelocityConf) -> None:
-        self._name = name
-        self._reading: Floats = np.zeros((context.num_rows, 2), np.float32)
-
-    def bounds(self) -> dict[str, Bounds]:
-        """Symmetric: 10 m/s and 34.9 rad/s."""
-        return {self._name: (-_HIGHEST, _HIGHEST)}
-
-    def begin(self, mask: Flags, now: GroupState, state: State) -> None:
-        """As `measure`: nothing is remembered."""
-        self.measure(now, state)
+        super().__init__(name, context.num_rows, _LOWEST, _HIGHEST)
 
     def measure(self, now: GroupState, state: State) -> None:
         """Read the present motion."""
@@ -59,12 +55,8 @@ class Velocity:
         np.maximum(values, _LOWEST, out=values)
         self._reading = np.minimum(values, _HIGHEST, out=values)
 
-    def read(self) -> dict[str, Reading]:
-        """The latest motion."""
-        return {self._name: self._reading.copy()}
 
-
-class EstimatedVelocity:
+class EstimatedVelocity(VectorSensor):
     """The reading "velocity", (N, 2): speed by `speed` [m/s] and yaw rate by the inertial unit [rad/s].
 
     `speed` is wheel odometry, or a velocity sensor on a body without wheels. Neither is read here: they must
@@ -72,16 +64,8 @@ class EstimatedVelocity:
     """
 
     def __init__(self, speed: Sensor, imu: Sensor, num_rows: int) -> None:
+        super().__init__("velocity", num_rows, _LOWEST, _HIGHEST)
         self._speed, self._imu = speed, imu
-        self._reading: Floats = np.zeros((num_rows, 2), np.float32)
-
-    def bounds(self) -> dict[str, Bounds]:
-        """As of the true velocity."""
-        return {"velocity": (_LOWEST, _HIGHEST)}
-
-    def begin(self, mask: Flags, now: GroupState, state: State) -> None:
-        """As `measure`: nothing is remembered."""
-        self.measure(now, state)
 
     def measure(self, now: GroupState, state: State) -> None:
         """Take both from the latest readings."""
@@ -90,38 +74,21 @@ class EstimatedVelocity:
         reading = np.stack([ahead, self._imu.read()["imu"][:, 5]], axis=1)
         self._reading = np.minimum(np.maximum(reading, _LOWEST), _HIGHEST)
 
-    def read(self) -> dict[str, Reading]:
-        """The latest speed and yaw rate."""
-        return {"velocity": self._reading.copy()}
 
-
-class PlanarVelocity:
+class PlanarVelocity(VectorSensor):
     """The reading `name`, (N, 2): horizontal velocity [m/s] along the heading and to its left.
 
     Bounds follow from the top speed of the body; readings are clipped to them.
     """
 
     def __init__(self, name: str, context: SensorContext, conf: PlanarVelocityConf) -> None:
-        self._name = name
-        self._highest = np.full(2, context.carrier.max_speed_mps * _SPEED_MARGIN, np.float32)
-        self._reading: Floats = np.zeros((context.num_rows, 2), np.float32)
-
-    def bounds(self) -> dict[str, Bounds]:
-        """Symmetric: the top speed and one percent."""
-        return {self._name: (-self._highest, self._highest)}
-
-    def begin(self, mask: Flags, now: GroupState, state: State) -> None:
-        """As `measure`: nothing is remembered."""
-        self.measure(now, state)
+        highest = np.full(2, context.carrier.max_speed_mps * _SPEED_MARGIN, np.float32)
+        super().__init__(name, context.num_rows, -highest, highest)
 
     def measure(self, now: GroupState, state: State) -> None:
         """Read the present motion."""
         values = heading_frame(now.motion.velocity_w, now.motion.yaw).astype(np.float32)
-        self._reading = np.minimum(np.maximum(values, -self._highest), self._highest)
-
-    def read(self) -> dict[str, Reading]:
-        """The latest motion."""
-        return {self._name: self._reading.copy()}
+        self._reading = np.minimum(np.maximum(values, self._low), self._high)
 
 
 def heading_frame(vector_w: Array, yaw: Array) -> Array:
