@@ -4,7 +4,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from dune_rl.geometry.arrays import Floats
 from dune_rl.geometry.heightfield import HeightField, cell_centres
@@ -129,7 +129,7 @@ def _face_albedo(terrain: HeightField, texture: Floats) -> Floats:
     xmin, xmax, ymin, ymax = terrain.extent
     per_m = np.array([columns / (xmax - xmin), rows / (ymax - ymin)])
     width, height = np.maximum(1, np.round(terrain.spacing_m * per_m).astype(int))
-    mean = ndimage.uniform_filter(texture, (height, width, 1), mode="nearest")
+    mean = scipy.ndimage.uniform_filter(texture, (height, width, 1), mode="nearest")
     vertices, faces = terrain.mesh()
     centres = vertices[faces, :2].mean(axis=1)
     column, row = ((centres - [xmin, ymin]) * per_m).astype(np.intp).T
