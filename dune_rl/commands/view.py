@@ -32,7 +32,13 @@ def _with_all_sensors(saved: Mapping[str, Any]) -> dict[str, Any]:
     upgraded = upgrade_saved(saved)
     own = upgraded["sensors"]
     every = compose_view(["+world=flat", "sensors=all"]).model_dump(mode="json")["sensors"]
-    return {**upgraded, "sensors": {**own, **{name: every[name] for name in every if name not in own}}}
+    outputs = {name: {"outputs": entry["outputs"]} for name, entry in every.items() if "outputs" in entry}
+    added = {
+        name: {**entry, **own.get(name, {}), **outputs.get(name, {}), "observed": True}
+        for name, entry in every.items()
+        if not own.get(name, {}).get("observed")
+    }
+    return {**upgraded, "sensors": {**own, **added}}
 
 
 def _drop_odometry_of_legs(conf: ViewConf) -> ViewConf:
