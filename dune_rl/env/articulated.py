@@ -69,24 +69,26 @@ class ArticulatedBody:
         self._step_s = physics.control_step_s
         self.motion = self._derive(np.zeros(rows, bool), np.zeros((rows, 3)))
         self.work_j: Array | None = np.zeros(rows) if measures_work else None
-        self.outline = Outline(robot.outline(), np.array([robot.length_m, robot.width_m]) / 2)
+        size = robot.description
+        self.outline = Outline(size.outline(), size.half_size_m)
         # Robots turn by their own controllers, whatever heading they are told.
         self.description = BodyDescription(
             kind="robot",
             is_robot=True,
-            radius_m=robot.width_m / 2,
+            radius_m=size.width_m / 2,
             reach_m=self.outline.reach_m,
-            height_m=robot.height_m,
-            wheel_radius_m=None if robot.wheels is None else robot.wheels.radius_m,
+            height_m=size.height_m,
+            wheel_radius_m=None if size.wheels is None else size.wheels.radius_m,
         )
 
     def action_bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds of the action, each (A,)."""
-        return self.robot.action_bounds()
+        actions = self.robot.description.actions
+        return actions.low, actions.high
 
     def rest_action(self) -> Array:
         """Action (A,) at which the robot stands still."""
-        return self.robot.rest_action()
+        return self.robot.description.actions.rest
 
     def vehicle(self) -> Unicycle:
         """The model of the robot for behaviours that output a speed and a heading."""
@@ -105,7 +107,8 @@ class ArticulatedBody:
 
     def carrier(self) -> SensorCarrier:
         """The robot as a carrier of sensors."""
-        mounts, wheels = self.robot.mounts, self.robot.wheels
+        described = self.robot.description
+        mounts, wheels = described.mounts, described.wheels
         drive: WheelMotion | None = None
         num_joints = len(self.robot.body.drive_joints)
         if wheels is not None:
@@ -116,8 +119,8 @@ class ArticulatedBody:
             camera_b=mounts.camera_b,
             imu_b=mounts.imu_b,
             camera_pitch_deg=mounts.camera_pitch_deg,
-            standing_height_m=self.robot.standing_height_m,
-            max_speed_mps=self.robot.max_speed_mps,
+            standing_height_m=described.standing_height_m,
+            max_speed_mps=described.max_speed_mps,
             num_joints=num_joints,
             drive=drive,
         )
@@ -154,7 +157,7 @@ class ArticulatedBody:
     @property
     def energy(self) -> EnergyState | None:
         """Motor work in the last control step, and the battery; None unless it is measured."""
-        return None if self.work_j is None else EnergyState(self.work_j, self.robot.battery)
+        return None if self.work_j is None else EnergyState(self.work_j, self.robot.description.battery)
 
     # -- a new episode ----------------------------------------------------------------------------
 
@@ -245,7 +248,7 @@ class ArticulatedBody:
     def _resistance(self, engines: Sequence[PhysicsRobot]) -> Array | None:
         """Resistance [N] of grass and soft ground, (N, 3), world frame; None if there are neither."""
         rolling = self.traction.update(engines, self.motion)
-        grass = drag_forces(self._worlds, self.motion, self.robot, self.count)
+        grass = drag_forces(self._worlds, self.motion, self.robot.description, self.count)
         if rolling is None or grass is None:
             return grass if rolling is None else rolling
         return rolling + grass

@@ -7,7 +7,7 @@ from dune_rl.geometry.frames import quaternion_on_slope, rotation_matrices
 from dune_rl.physics.interface import PhysicsConf, SceneSpec
 from dune_rl.physics.robot_body import RobotBody
 from dune_rl.physics.shapes import KinematicShape, StaticBody
-from dune_rl.robots.robot import Robot
+from dune_rl.robots.robot import RobotDescription
 from dune_rl.worlds.props import merge_meshes
 from dune_rl.worlds.world import World
 
@@ -50,7 +50,9 @@ def scene_spec(
     )
 
 
-def standing_pose(world: World, robot: Robot, x: float, y: float, yaw: float) -> tuple[Array, Array]:
+def standing_pose(
+    world: World, robot: RobotDescription, x: float, y: float, yaw: float
+) -> tuple[Array, Array]:
     """Position (3,) and quaternion (4,) of a robot that stands at (x, y), just above contact."""
     normal = world.terrain.normal(np.array([x, y]))
     quaternion = quaternion_on_slope(normal, np.asarray(yaw))

@@ -56,12 +56,13 @@ class Traction:
     """
 
     def __init__(self, robot: Robot, physics: PhysicsConf, num_rows: int) -> None:
-        self._robot = robot
-        self._wheels_b = robot.contact_centres_b
-        self._rolls = robot.wheels is not None
-        self._driven = 0 if robot.wheels is None else robot.wheels.num_driven
+        self._robot, self._friction = robot.description, robot.body.ground_friction
+        self._wheels_b = self._robot.contact_centres_b
+        layout = self._robot.wheels
+        self._rolls = layout is not None
+        self._driven = 0 if layout is None else layout.num_driven
         wheels = len(self._wheels_b)
-        self._share_n = robot.mass_kg * GRAVITY_MPS2 / wheels
+        self._share_n = self._robot.mass_kg * GRAVITY_MPS2 / wheels
         self._slowest = GRAVITY_MPS2 * physics.control_step_s
         self.friction_factor = np.ones(num_rows)
         self.tyre_factor = np.ones(num_rows)
@@ -87,9 +88,7 @@ class Traction:
             factor = float(self.friction_factor[scene] * self.tyre_factor[scene])
             if factor != 1.0:
                 wheels = len(self._wheels_b)
-                engine.set_wheel_contacts(
-                    [self._robot.body.ground_friction * factor] * wheels, [0.0] * wheels
-                )
+                engine.set_wheel_contacts([self._friction * factor] * wheels, [0.0] * wheels)
             return
         rotation = rotation_matrices(quaternion)
         self.surfaces[scene], _ = world.surface_below(self._bottoms(position_w, rotation))
@@ -157,7 +156,7 @@ class Traction:
         contacts, _ = self._table(world.surfaces)
         rows = contacts[self.surfaces[scene]]
         factor = self.friction_factor[scene] * self.tyre_factor[scene]
-        friction = rows[:, 0] * (self._robot.body.ground_friction * factor)
+        friction = rows[:, 0] * (self._friction * factor)
         stiffness = rows[:, 2] * self.stiffness_factor[scene]
         engine.set_wheel_contacts(
             friction.tolist(), rows[:, 1].tolist(), stiffness.tolist(), rows[:, 3].tolist()

@@ -1,15 +1,14 @@
-"""Interface of a robot: its size, its actions, and the motor commands that its controller computes."""
+"""Interface of a robot: its constants, its actions, and the motor commands that its controller computes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.physics.robot_body import RobotBody
-from dune_rl.robots.battery import BatteryConf
-from dune_rl.robots.mounts import MountsConf
-from dune_rl.robots.steering_geometry import SteeringGeometry
+from dune_rl.robots.ackermann import SteeringGeometry
+from dune_rl.robots.settings import BatteryConf, MountsConf
 
 
 class BodyMotion(Protocol):
@@ -59,88 +58,63 @@ class WheelLayout:
         return len(self.left) + len(self.right)
 
 
-class Robot(Protocol):
-    """N robots of one kind that are driven by actions: N = number of scenes * agents of a group.
+@dataclass(frozen=True, eq=False)
+class ActionRange:
+    """Lowest and highest action, and the action at which the robot stands still, each (A,)."""
+
+    low: Array
+    high: Array
+    rest: Array
+
+
+def speed_and_heading_range(max_speed_mps: float) -> ActionRange:
+    """Range of a speed [m/s] and a heading relative to the present one [rad]; at rest both are 0."""
+    high = np.array([max_speed_mps, np.pi])
+    return ActionRange(-high, high, np.zeros(2))
+
+
+@dataclass(frozen=True, eq=False)
+class RobotDescription:
+    """Constants of a kind of robot.
 
     Frame: x forward, y left, z up; the origin is that of the URDF's base link, `standing_height_m` above
     level ground. `length_m`, `width_m` and `height_m` are the sizes of the bounding box of hull and wheels
     or legs at full stride; seen from above, the origin is its centre. `contact_centres_b` (W, 3) [m] are the
-    centres of the wheels or feet, of `contact_radius_m` and `contact_width_m`, in the order of
-    `body.ground_links`; the first wheels belong to the first motors, and those behind them have none.
-    `wheels` is None for a robot with legs. `mounts` are the default poses of its sensors; `battery` supplies
-    the motors.
+    centres of the wheels or feet at the start of an episode, of `contact_radius_m` and `contact_width_m`, in
+    the order of `RobotBody.ground_links`; the first wheels belong to the first motors, and those behind them
+    have none.
+
+    `max_speed_mps` and `max_yaw_rate_radps` are the largest that can be commanded, and `heading_gain_per_s`
+    is the yaw rate over the heading error, at rest. `mounts` are the default poses of the sensors; `battery`
+    supplies the motors. `wheels` is None for a robot with legs. `joint_actions` is the range of actions that
+    are not a speed and a heading.
     """
 
     length_m: float
     width_m: float
     height_m: float
     standing_height_m: float
+    mass_kg: float
+    contact_centres_b: Array
     contact_radius_m: float
     contact_width_m: float
-    mass_kg: float
-    body: RobotBody
-    mounts: MountsConf
-    battery: BatteryConf
+    max_speed_mps: float = 1.0
+    max_yaw_rate_radps: float = 1.0
+    heading_gain_per_s: float = 2.0
+    mounts: MountsConf = field(default_factory=MountsConf)
+    battery: BatteryConf = field(default_factory=lambda: BatteryConf(capacity_wh=90.0))
+    wheels: WheelLayout | None = None
+    joint_actions: ActionRange | None = None
 
     @property
-    def contact_centres_b(self) -> Array:
-        """Centres (W, 3) [m] of wheels or feet at the start of an episode."""
-        ...
+    def actions(self) -> ActionRange:
+        """The range of actions: of speed and heading, unless the robot has `joint_actions`."""
+        return self.joint_actions or speed_and_heading_range(self.max_speed_mps)
 
     @property
-    def wheels(self) -> WheelLayout | None:
-        """Model of the wheels for odometry; None without wheels."""
-        ...
-
-    @property
-    def max_speed_mps(self) -> float:
-        """Largest speed that can be commanded."""
-        ...
-
-    @property
-    def footprint_radius_m(self) -> float:
-        """Radius of a circle about the origin that contains the outline."""
-        ...
-
-    def outline(self) -> Array:
-        """Points (P, 2) [m] on the outline of hull, wheels and legs, seen from above, in the body frame.
-
-        Neighbours are at most 0.16 m apart.
-        """
-        ...
-
-    def action_bounds(self) -> tuple[Array, Array]:
-        """Lowest and highest action, each (A,)."""
-        ...
-
-    def rest_action(self) -> Array:
-        """Action (A,) at which the robot stands still."""
-        ...
-
-    def reset(self, mask: Flags) -> None:
-        """Reset the controllers of the robots in `mask` (N,)."""
-        ...
-
-    def commands(self, action: Array, motion: BodyMotion, step_s: float) -> Array:
-        """Command of each motor, (N, J): a speed [rad/s] or an angle [rad], by `Motor.mode`.
-
-        `action` (N, A) is clipped to the bounds. To be called once per control step of `step_s`, in order:
-        controllers have state.
-        """
-        ...
-
-
-def speed_and_heading_bounds(max_speed_mps: float) -> tuple[Array, Array]:
-    """Bounds, each (2,), of a speed [m/s] and a heading relative to the present one [rad]."""
-    high = np.array([max_speed_mps, np.pi])
-    return -high, high
-
-
-class RectangularHull:
-    """Footprint and outline of a robot: the rectangle about the origin that contains it, seen from above."""
-
-    length_m: float
-    width_m: float
+    def half_size_m(self) -> Array:
+        """Half of length and width [m], (2,)."""
+        return np.array([self.length_m, self.width_m]) / 2
 
     @property
     def footprint_radius_m(self) -> float:
@@ -150,6 +124,28 @@ class RectangularHull:
     def outline(self) -> Array:
         """Points (P, 2) [m] on the outline, seen from above, in the body frame, at most 0.16 m apart."""
         return rectangle_outline(self.length_m, self.width_m)
+
+
+class Robot(Protocol):
+    """N robots of one kind that are driven by actions: N = number of scenes * agents of a group.
+
+    `body` is the robot as the physics engine loads it.
+    """
+
+    description: RobotDescription
+    body: RobotBody
+
+    def reset(self, mask: Flags) -> None:
+        """Reset the controllers of the robots in `mask` (N,)."""
+        ...
+
+    def commands(self, action: Array, motion: BodyMotion, step_s: float) -> Array:
+        """Command of each motor, (N, J): a speed [rad/s] or an angle [rad], by `Motor.mode`.
+
+        `action` (N, A) is clipped to the range of actions. To be called once per control step of `step_s`, in
+        order: controllers have state.
+        """
+        ...
 
 
 def rectangle_outline(length_m: float, width_m: float, spacing_m: float = 0.16) -> Array:

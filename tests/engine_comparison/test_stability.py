@@ -7,10 +7,9 @@ from simulations import every_engine
 
 from dune_rl.commands.engines import recording
 from dune_rl.commands.engines.stability import FaultCounts, SpeedLimit, count_faults
-from dune_rl.robots.hyperdog.robot import HyperDog
 from dune_rl.robots.rover_zero.robot import RoverZero
 
-MASSES_KG = {"rover_zero": RoverZero.mass_kg, "hyperdog": HyperDog.mass_kg}
+MASSES_KG = {"rover_zero": RoverZero.description.mass_kg, "hyperdog": 5.0}
 every_robot = pytest.mark.parametrize("robot", MASSES_KG)
 
 

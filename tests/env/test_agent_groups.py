@@ -192,8 +192,8 @@ def test_clearance_of_a_team_is_to_its_nearest_member() -> None:
     centres[:, range(3), range(3)] = np.inf
     nearest = centres.min(axis=2).ravel()
     # Between centres less both circumscribed circles, and less both inscribed ones.
-    assert (now.clearance >= nearest - 2 * robot.footprint_radius_m - 1e-9).all()
-    assert (now.clearance <= nearest - robot.width_m + 1e-9).all()
+    assert (now.clearance >= nearest - 2 * robot.description.footprint_radius_m - 1e-9).all()
+    assert (now.clearance <= nearest - robot.description.width_m + 1e-9).all()
     core.close()
 
 

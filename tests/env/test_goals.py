@@ -35,7 +35,7 @@ def by_scene(core: VectorSimulation) -> tuple[np.ndarray, np.ndarray, np.ndarray
         state = core.state.groups[group.name]
         positions.append(state.by_scene(state.motion.position_w[:, :2]))
         goals.append(state.by_scene(state.goal.position_w))
-        radii += [group.body.robot.footprint_radius_m] * group.count
+        radii += [group.body.robot.description.footprint_radius_m] * group.count
     return np.concatenate(positions, axis=1), np.concatenate(goals, axis=1), np.array(radii)
 
 

@@ -73,7 +73,7 @@ def test_grass_holds_each_robot_of_a_scene_back_by_itself():
     act(simulation)
     act(simulation)
     bottoms = np.array([[1.5 * place, 2.0, 0.0] for place in range(4)])
-    held = -grass.drag(bottoms, simulation.group().body.robot.height_m) * speeds
+    held = -grass.drag(bottoms, simulation.group().body.robot.description.height_m) * speeds
     np.testing.assert_allclose([robot.pushes[-1][0] for robot in robots], held, rtol=1e-6, atol=1e-9)
     assert np.abs(held).max() > 1.0
 

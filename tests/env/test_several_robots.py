@@ -146,7 +146,9 @@ def test_apart_each_drives_as_if_alone(which: int, backend: Backend) -> None:
     robots = robots_of(KINDS)
     # Leo's rockers ask for 20 iterations: so many for both, alone and together.
     physics = PhysicsConf(solver_iterations=20)
-    poses = [standing_pose(world, robot, 4.0 * index, 0.0, 0.3) for index, robot in enumerate(robots)]
+    poses = [
+        standing_pose(world, robot.description, 4.0 * index, 0.0, 0.3) for index, robot in enumerate(robots)
+    ]
     none = np.zeros((0, 6))
     wanted = [np.array([[0.3, 0.4 * (1 - 2 * index)]]) for index in range(2)]
 
@@ -199,7 +201,9 @@ def test_the_first_robot_starts_where_it_starts_alone(robots: list[str]) -> None
 def test_robots_start_apart_with_goals_apart(apart_m: float) -> None:
     spawn = {"region": [-5.0, 5.0, -5.0, 5.0], "robots_apart_m": apart_m, "min_goal_distance_m": 2.0}
     simulation = simulation_of([*KINDS, "rover_zero"], num_scenes=8, task={"spawn": spawn})
-    radii = np.array([g.body.robot.footprint_radius_m for g in simulation.groups for _ in range(g.count)])
+    radii = np.array(
+        [g.body.robot.description.footprint_radius_m for g in simulation.groups for _ in range(g.count)]
+    )
     least = radii[:, None] + radii + apart_m
     pairs = np.triu_indices(3, 1)
     starts = set()

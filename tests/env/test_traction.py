@@ -87,7 +87,7 @@ def test_a_rover_coasts_as_far_as_rolling_resistance_lets_it(backend, name, sink
         speeds.append(rover.speed)
     coefficient = surface.rolling_resistance
     if sinkage and surface.soil is not None:
-        wheel = LOAD_N, 2 * WHEEL_RADIUS_M, RoverZero.contact_width_m
+        wheel = LOAD_N, 2 * WHEEL_RADIUS_M, RoverZero.description.contact_width_m
         coefficient = 0.015 + surface.soil.compaction_n(*wheel) / LOAD_N
     expected = coefficient * GRAVITY_MPS2 * MASS_KG / ROLLING_MASS_KG
     # What lands from the ramp bounces at first.
@@ -130,7 +130,7 @@ def test_wheels_stand_as_deep_as_bekker_says(backend, name):
     rover.step(count=40)
     depth = LOAD_N / surface.stiffness_npm
     if surface.soil is not None:
-        depth += surface.soil.sinkage_m(LOAD_N, 2 * WHEEL_RADIUS_M, RoverZero.contact_width_m)
+        depth += surface.soil.sinkage_m(LOAD_N, 2 * WHEEL_RADIUS_M, RoverZero.description.contact_width_m)
         assert depth > 1e-3
     # DART's ground is never harder than 2e5 N/m.
     assert -rover.height == pytest.approx(depth, rel=0.03, abs=allowed(backend, 5e-5, 1.5e-4))
@@ -217,7 +217,7 @@ def test_wheels_change_their_friction_one_after_another(backend):
     crossed = []
     for _ in range(60):
         rover.traction.update([witness], rover.motion)
-        wheels = rover.position + rover.robot.wheel_positions_b @ rover.motion.rotation[0].T
+        wheels = rover.position + rover.robot.description.contact_centres_b @ rover.motion.rotation[0].T
         crossed.append((wheels[:, 0] > 0.0).tolist())
         rover.step(0.6 / WHEEL_RADIUS_M)
     assert crossed[0] == [False] * 4

@@ -50,7 +50,7 @@ class RoverOnGround:
         self.traction = Traction(self.robot, self.physics, 1)
         self.traction.friction_factor[:], self.traction.stiffness_factor[:] = factors
         self.traction.tyre_factor[:], self.traction.load_factor[:] = tyres, load
-        position, quaternion = standing_pose(world, self.robot, *at, yaw)
+        position, quaternion = standing_pose(world, self.robot.description, *at, yaw)
         position[2] += drop_m
         self.engine.set_start_pose(position.tolist(), quaternion.tolist())
         self.scene.reset(np.zeros((0, 6)))
@@ -82,6 +82,8 @@ class RoverOnGround:
     @property
     def height(self) -> float:
         """Of the wheels' bottoms over the ground [m], as if the ground were hard."""
-        bottoms = self.position + self.robot.wheel_positions_b @ self.motion.rotation[0].T
+        bottoms = self.position + self.robot.description.contact_centres_b @ self.motion.rotation[0].T
         ground, normal = self.world.terrain.height_and_normal(bottoms[:, :2])
-        return float(((bottoms[:, 2] - ground) * normal[:, 2]).mean()) - self.robot.standing_height_m
+        return (
+            float(((bottoms[:, 2] - ground) * normal[:, 2]).mean()) - self.robot.description.standing_height_m
+        )

@@ -32,4 +32,4 @@ def imu_conf(**settings: object) -> ImuConf:
 
 
 def height_scan_conf(**settings: object) -> HeightScanConf:
-    return HeightScanConf(**{"standing_height_m": RoverZero.standing_height_m, **settings})
+    return HeightScanConf(**{"standing_height_m": RoverZero.description.standing_height_m, **settings})

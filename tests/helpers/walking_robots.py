@@ -26,7 +26,7 @@ class Walk:
         self.stage = Stage(backend, statics or [plane()], robot=self.robot.body)
         turned = about([0, 0, 1], yaw) if quaternion is None else quaternion
         self.robot.reset(np.array([True]))
-        self.stage.place([0.0, 0.0, self.robot.standing_height_m + 0.005], turned)
+        self.stage.place([0.0, 0.0, self.robot.description.standing_height_m + 0.005], turned)
         self.commands = np.array([self.robot.body.rest_commands()])
         self.stage.step(2 * SUBSTEPS, self.commands[0])
 

@@ -18,7 +18,7 @@ from dune_rl.config.build import make_simulation
 from dune_rl.config.compose import compose_environment
 from dune_rl.metrics.episode import MetricsConf, MetricSet
 from dune_rl.metrics.registry import METRICS
-from dune_rl.robots.battery import BatteryConf
+from dune_rl.robots.settings import BatteryConf
 from dune_rl.state import GroupState
 
 FLAGS = {

@@ -12,7 +12,7 @@ from dune_rl.metrics.terms import energy
 from dune_rl.metrics.terms import paper as terms
 from dune_rl.metrics.terms.energy import BatteryRange, BatteryShare
 from dune_rl.metrics.terms.paper import Success
-from dune_rl.robots.battery import BatteryConf
+from dune_rl.robots.settings import BatteryConf
 from dune_rl.state import GroupState
 
 vectors = arrays(float, (4, 3), elements=st.floats(-1e3, 1e3))

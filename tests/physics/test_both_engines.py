@@ -79,7 +79,7 @@ def test_the_same_commands_come_to_much_the_same(robot: Any, task: str) -> None:
         settings = {"robot": robot, "physics": engine, "task": task, "metrics": {"energy": True}}
         simulation = started_simulation("flat", 4, 6, **settings)
         start = motion_of_group(simulation).position_w.copy()
-        speed = 0.7 * simulation.group().body.robot.max_speed_mps
+        speed = 0.7 * simulation.group().body.robot.description.max_speed_mps
         for _ in range(60):
             act(simulation, [speed, 0.05])
         position = motion_of_group(simulation).position_w

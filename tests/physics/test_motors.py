@@ -333,7 +333,7 @@ def test_energy_is_counted_where_it_is_asked_for(engine):
 
     measured = driven(metrics={"energy": True})
     standing_wh, driving_wh = metric(measured, "energy_wh")
-    idle_w = measured.group().body.robot.battery.idle_w
+    idle_w = measured.group().body.robot.description.battery.idle_w
     assert standing_wh == pytest.approx(idle_w * 20 * 0.05 / 3600, rel=0.02)
     # To bring 11 kg to 0.8 m/s alone takes 3.5 J.
     # The wheels' own turning takes a third more of it; a step's start is the dearest.

@@ -67,7 +67,7 @@ def test_a_drive_gives_the_torque_it_may_and_no_more(backend, torque):
     )
     stage.place([0.0, 0.0, 5.0])
     stage.step(10, 500.0)
-    body_inertia = 0.1088 + 1.25 * (RoverZero.wheel_positions_b[:, 0] ** 2).sum()
+    body_inertia = 0.1088 + 1.25 * (RoverZero.description.contact_centres_b[:, 0] ** 2).sum()
     expected = torque / 0.01008 + 4 * torque / body_inertia
     np.testing.assert_allclose(stage.wheel_speeds / (10 * TIMESTEP_S), expected, rtol=0.02)
 
@@ -83,7 +83,9 @@ def test_a_rover_at_rest_stands_on_the_terrain(backend, slope, toward, yaw):
     stage.place(up * (WHEEL_RADIUS_M + 0.003), quaternion)
     stage.step(200)
     normal = terrain.normal([0.0, 0.0])
-    contacts = stage.position + RoverZero.wheel_positions_b @ stage.rotation.T - WHEEL_RADIUS_M * normal
+    contacts = (
+        stage.position + RoverZero.description.contact_centres_b @ stage.rotation.T - WHEEL_RADIUS_M * normal
+    )
     # DART's tyres give by up to a millimetre, and it takes seconds to undo what a landing left.
     np.testing.assert_allclose(
         contacts[:, 2], terrain.height(contacts[:, :2]), atol=allowed(backend, 1e-3, 1.6e-3)

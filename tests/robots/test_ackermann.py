@@ -42,7 +42,7 @@ def read(path, **settings):
 
 
 def drive(robot, backend, position_w=(0.0, 0.0)):
-    return Drive(backend, rover=robot, position_w=(*position_w, robot.standing_height_m + 0.003))
+    return Drive(backend, rover=robot, position_w=(*position_w, robot.description.standing_height_m + 0.003))
 
 
 def commands(robot, speed, heading, steps):
@@ -106,7 +106,7 @@ def test_what_a_car_has_is_derived(tmp_path):
         "right_knuckle_joint",
     )
     assert [motor.mode for motor in robot.body.motors] == ["velocity"] * 2 + ["position"] * 2
-    assert len(robot.contact_centres_b) == len(robot.body.ground_links) == 4
+    assert len(robot.description.contact_centres_b) == len(robot.body.ground_links) == 4
     text = robot.summary()
     assert "drive: Ackermann steering: left_knuckle_joint, right_knuckle_joint steer" in text
     assert f"smallest circle: radius {CAR_RADIUS_OF_TURN_M:.2f} m about x = 0.000 m" in text
@@ -279,7 +279,10 @@ def test_a_rocker_bogie_climbs_a_step_with_one_side_and_stays_nearly_level(backe
     robot = read(write_rocker_bogie(tmp_path, corners_steer=True))
     step = box((1.5, ROCKER_TRACK_M / 2), 1.0, 0.4, 0.06, drivable=True)
     driven = Drive(
-        backend, rover=robot, statics=[plane(), step], position_w=(0.0, 0.0, robot.standing_height_m + 0.003)
+        backend,
+        rover=robot,
+        statics=[plane(), step],
+        position_w=(0.0, 0.0, robot.description.standing_height_m + 0.003),
     )
     heights, rockers = [], []
     for _ in range(110):

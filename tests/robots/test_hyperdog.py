@@ -23,6 +23,11 @@ LIMITS_RAD = {"hip": (-1.57, 1.57), "upper": (-1.22, 3.14), "lower": (-1.57, 2.6
 LEGS = [f"{end}_{side}" for end in ("front", "rear") for side in ("left", "right")]
 
 
+def bounds(robot) -> tuple[np.ndarray, np.ndarray]:
+    actions = robot.description.actions
+    return actions.low, actions.high
+
+
 @every_backend
 def test_it_stands_still_at_its_height(backend):
     walk = Walk(backend)
@@ -31,7 +36,7 @@ def test_it_stands_still_at_its_height(backend):
     assert np.linalg.norm(way) < 2e-3
     assert abs(turned) < 5e-3
     # Its servos give a little under its weight.
-    assert walk.stage.position[2] == pytest.approx(walk.robot.standing_height_m, abs=6e-3)
+    assert walk.stage.position[2] == pytest.approx(walk.robot.description.standing_height_m, abs=6e-3)
     assert np.linalg.norm(walk.stage.velocity) < 2e-3
 
 
@@ -57,7 +62,7 @@ def test_two_legs_carry_its_body_as_high_as_four(backend):
         walk.step(0.4, 0.0)
         heights.append(walk.stage.position[2])
     assert np.ptp(heights) < 3e-3
-    assert np.mean(heights) == pytest.approx(walk.robot.standing_height_m, abs=3e-3)
+    assert np.mean(heights) == pytest.approx(walk.robot.description.standing_height_m, abs=3e-3)
 
 
 @pytest.mark.slow(all_but=["0.9-*"])
@@ -114,7 +119,7 @@ def test_told_angles_its_joints_reach_them(backend):
 
 def test_joint_actions_span_the_joints_ranges_and_end_there():
     robot = HyperDog(HyperDogConf(action="joints"), 2)
-    low, high = robot.action_bounds()
+    low, high = bounds(robot)
     assert low.shape == high.shape == (12,)
     told = robot.commands(np.array([low * 3, high * 3]), None, STEP_S).reshape(2, 4, 3)
     np.testing.assert_allclose(told[0], [[-1.57, -1.22, 0.17]] * 4)
@@ -123,7 +128,7 @@ def test_joint_actions_span_the_joints_ranges_and_end_there():
 
 def test_speeds_are_clipped_and_come_gradually():
     robot = HyperDog(HyperDogConf(), 1)
-    low, high = robot.action_bounds()
+    low, high = bounds(robot)
     np.testing.assert_allclose([low, high], [[-0.4, -np.pi], [0.4, np.pi]])
     walk = HyperDog(HyperDogConf(), 1)
     still = _Still(1)
@@ -141,7 +146,7 @@ def test_no_command_leaves_the_reach_of_its_legs():
     limits = np.tile([LIMITS_RAD[joint] for joint in ("hip", "upper", "lower")], (4, 1))
     for _ in range(200):
         still.roll_pitch_yaw = draws.uniform(-1.5, 1.5, (64, 3))
-        told = robot.commands(draws.uniform(*robot.action_bounds(), (64, 2)), still, STEP_S)
+        told = robot.commands(draws.uniform(*bounds(robot), (64, 2)), still, STEP_S)
         assert (told >= limits[:, 0]).all()
         assert (told <= limits[:, 1]).all()
 
@@ -238,7 +243,7 @@ def test_its_action_of_rest_stands(engine):
 def test_pushed_over_it_is_up_again_or_its_episode_ends(engine):
     run = RecordedSimulation("flat", engine, "hyperdog", 4, 0)
     run.simulation.reset()
-    low, high = run.robot.action_bounds()
+    low, high = bounds(run.robot)
     draws = np.random.default_rng(0)
     lying, longest, ended = np.zeros(4), 0.0, 0
     for step in range(240):
@@ -346,6 +351,6 @@ def test_joints_are_where_its_authors_have_them_with_their_limits(leg):
 
 def test_standing_it_is_as_high_as_its_authors_state():
     robot = build_robot(HyperDogConf(), 1)
-    assert robot.standing_height_m == pytest.approx(0.24)
-    lowest = robot.contact_centres_b[:, 2] - robot.contact_radius_m
-    np.testing.assert_allclose(lowest, -robot.standing_height_m)
+    assert robot.description.standing_height_m == pytest.approx(0.24)
+    lowest = robot.description.contact_centres_b[:, 2] - robot.description.contact_radius_m
+    np.testing.assert_allclose(lowest, -robot.description.standing_height_m)

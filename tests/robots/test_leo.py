@@ -34,13 +34,15 @@ KP = LeoRoverConf().heading.kp
 
 def leo_on(backend, statics=None, **place) -> Drive:
     rover = LeoRover(LeoRoverConf(), 1)
-    place = {"position_w": (0.0, 0.0, rover.standing_height_m + 0.002)} | place
+    place = {"position_w": (0.0, 0.0, rover.description.standing_height_m + 0.002)} | place
     return Drive(backend, rover=rover, statics=statics, **place)
 
 
 def leo_on_slope(backend, slope: float, yaw: float) -> Stage:
     rover = LeoRover(LeoRoverConf(), 1)
-    return slope_stage(backend, slope, 1.0, yaw, rover.body, height_m=rover.standing_height_m + 0.002)
+    return slope_stage(
+        backend, slope, 1.0, yaw, rover.body, height_m=rover.description.standing_height_m + 0.002
+    )
 
 
 def rockers(stage: Stage) -> np.ndarray:
@@ -107,7 +109,7 @@ def test_it_turns_on_the_spot_as_fast_as_told(backend, yaw, rate):
 def test_over_stones_the_rockers_turn_opposite_and_all_wheels_stay_on_the_ground(backend, seed):
     terrain = stones(seed)
     drive = leo_on(backend, [ground(terrain)], position_w=(-5.0, 0.0, 0.3), yaw=0.2)
-    middles = LeoRover.wheel_positions_b - [0.0026, 0.0, -0.0473]
+    middles = LeoRover.description.contact_centres_b - [0.0026, 0.0, -0.0473]
     largest = 0.0
     for step in range(160):
         drive.step(0.4, 0.1 * np.sin(step / 30))

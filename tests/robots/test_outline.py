@@ -71,7 +71,7 @@ def tyre_corners(tyre) -> np.ndarray:
 def test_the_size_is_that_of_hull_and_wheels(make):
     robot = make()
     low, high = shape_extent(robot, np.zeros(4))
-    half = np.array([robot.length_m, robot.width_m]) / 2
+    half = np.array([robot.description.length_m, robot.description.width_m]) / 2
     reach = np.maximum(-low, high)
     assert (reach <= half + 1e-9).all()
     # A hub's flange is wider than the tyre.
@@ -93,7 +93,7 @@ def test_the_size_of_a_dog_is_that_of_its_legs_at_full_stride():
             angles = dog.commands(np.array([[speed, heading]]), motion, STEP_S)[0]
             low, high = shape_extent(dog, angles)
             reach = np.maximum(reach, np.maximum(-low, high))
-    half = np.array([dog.length_m, dog.width_m]) / 2
+    half = np.array([dog.description.length_m, dog.description.width_m]) / 2
     assert (reach <= half).all(), reach
     np.testing.assert_allclose(reach, half, atol=0.02)
 
@@ -101,12 +101,12 @@ def test_the_size_of_a_dog_is_that_of_its_legs_at_full_stride():
 @pytest.mark.parametrize("make", [*ROVERS, lambda: HyperDog(HyperDogConf(), 1)])
 def test_the_outline_runs_round_the_whole_robot(make):
     robot = make()
-    outline = robot.outline()
-    half = [robot.length_m / 2, robot.width_m / 2]
+    outline = robot.description.outline()
+    half = [robot.description.length_m / 2, robot.description.width_m / 2]
     np.testing.assert_allclose(np.abs(outline).max(axis=0), half)
     assert np.isclose(np.abs(outline), half).any(axis=1).all()
     # Thin posts of 0.1 m must not fit between neighbours unseen by more than a few centimetres.
     bearing = np.arctan2(outline[:, 1], outline[:, 0])
     around = outline[np.argsort(bearing)]
     assert np.hypot(*(around - np.roll(around, 1, axis=0)).T).max() < 0.16
-    assert np.hypot(*outline.T).max() <= robot.footprint_radius_m + 1e-9
+    assert np.hypot(*outline.T).max() <= robot.description.footprint_radius_m + 1e-9

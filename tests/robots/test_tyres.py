@@ -59,7 +59,10 @@ def drive(
     """Drive straight on; the drive, rows of x, y, z, forward speed and pitch, and the steps with contacts."""
     rover = case.make()
     run = Drive(
-        backend, statics=[plane(), *statics], rover=rover, position_w=(0.0, 0.0, rover.standing_height_m)
+        backend,
+        statics=[plane(), *statics],
+        rover=rover,
+        position_w=(0.0, 0.0, rover.description.standing_height_m),
     )
     rows, hits = [], 0
     for _ in range(steps):
@@ -152,13 +155,14 @@ def test_a_post_lower_than_the_hull_passes_between_the_tracks_and_not_in_one(bac
 def test_a_walker_at_a_tyre_is_a_contact_and_one_beside_it_is_none(backend, case):
     # By the middle of the front tyre, whose top is no higher than the round lower end of the walker.
     rover = case.make()
-    axle, top = np.array([1, 2]) * rover.contact_radius_m
+    axle, top = np.array([1, 2]) * rover.description.contact_radius_m
     for height, gap, met in ((axle, -0.005, True), (top, 0.01, False)):
         half_width = np.sqrt(0.25**2 - (0.25 - height) ** 2)
         y = case.face_m + half_width + gap
         stage = Stage(backend, kinematics=[walker()], robot=rover.body)
         stage.place(
-            (0.0, 0.0, rover.standing_height_m), actors=[[rover.wheel_positions_b[0, 0], y, 0.0, 0.0]]
+            (0.0, 0.0, rover.description.standing_height_m),
+            actors=[[rover.description.contact_centres_b[0, 0], y, 0.0, 0.0]],
         )
         seen = set()
         for _ in range(5):
@@ -335,7 +339,7 @@ def test_tyres_that_can_touch_an_obstacle_are_active_and_far_ones_are_not(seed):
     gate = ContactGate((plane(), *boxes), (), [rover_body()])
     seen = []
     for xy in rng.uniform(-7.0, 7.0, (200, 2)):
-        places = xy + RoverZero.wheel_positions_b[:, None, :2]
+        places = xy + RoverZero.description.contact_centres_b[:, None, :2]
         outside = np.maximum(np.maximum(low - places, places - high), 0.0)
         apart = np.hypot(*np.moveaxis(outside, 2, 0)).min(axis=1)
         gate.find_contacts([Placed(*xy)], 0.05, {}, (), ())
@@ -391,10 +395,14 @@ def test_tyres_are_at_the_wheels_and_as_wide_as_these_are_drawn(case):
     for tyre in robot.body.tyres:
         centre, radius = spheres[tyre.link]
         np.testing.assert_allclose(tyre.centre, centre, atol=1e-9)
-        assert (tyre.radius_m, tyre.width_m) == (radius, robot.contact_width_m)
-    centres = robot.wheel_positions_b[:, 1]
-    np.testing.assert_allclose(np.abs(centres) + robot.contact_width_m / 2, case.face_m, atol=1e-9)
-    np.testing.assert_allclose([tyre.position_b for tyre in robot.body.tyres], robot.wheel_positions_b)
+        assert (tyre.radius_m, tyre.width_m) == (radius, robot.description.contact_width_m)
+    centres = robot.description.contact_centres_b[:, 1]
+    np.testing.assert_allclose(
+        np.abs(centres) + robot.description.contact_width_m / 2, case.face_m, atol=1e-9
+    )
+    np.testing.assert_allclose(
+        [tyre.position_b for tyre in robot.body.tyres], robot.description.contact_centres_b
+    )
 
 
 def collision_spheres(body: RobotBody) -> dict[str, tuple[np.ndarray, float]]:

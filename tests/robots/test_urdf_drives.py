@@ -33,7 +33,7 @@ def read(path, **settings):
 
 
 def drive(robot, backend):
-    return Drive(backend, rover=robot, position_w=(0.0, 0.0, robot.standing_height_m + 0.003))
+    return Drive(backend, rover=robot, position_w=(0.0, 0.0, robot.description.standing_height_m + 0.003))
 
 
 # -- torque --------------------------------------------------------------------------------------
@@ -42,7 +42,7 @@ def drive(robot, backend):
 def test_the_torque_follows_from_mass_grip_and_geometry(tmp_path):
     # Wheels scrub along their axles with mu m g in all, at 0.256 m before and behind the middle.
     robot = read(write_four_wheeler(tmp_path))
-    force = robot.mass_kg * GRAVITY_MPS2 / 4 * 0.256 / 0.2854
+    force = robot.description.mass_kg * GRAVITY_MPS2 / 4 * 0.256 / 0.2854
     assert robot.drive.max_torque_nm == pytest.approx(2.0 * force * 0.1651, rel=0.01)
     assert (
         "assumed (the URDF has no effort limit): enough to turn on the spot with 56.4 kg at friction 1"

@@ -33,17 +33,19 @@ def cart(folder: Path, text: str = CART, **settings: object) -> UrdfRobot:
 def test_all_that_can_be_is_derived(tmp_path):
     robot = cart(tmp_path)
     # From the root link, which lies on the ground's level but for a millimetre or so.
-    assert robot.standing_height_m == pytest.approx(0.0, abs=1e-3)
-    assert (robot.length_m, robot.width_m) == pytest.approx((0.4, 0.44), abs=1e-3)
-    assert robot.height_m == pytest.approx(0.16, abs=1e-3)
-    np.testing.assert_allclose(robot.wheel_positions_b, [[0.05, 0.2, 0.08], [0.05, -0.2, 0.08]], atol=1e-6)
+    assert robot.description.standing_height_m == pytest.approx(0.0, abs=1e-3)
+    assert (robot.description.length_m, robot.description.width_m) == pytest.approx((0.4, 0.44), abs=1e-3)
+    assert robot.description.height_m == pytest.approx(0.16, abs=1e-3)
+    np.testing.assert_allclose(
+        robot.description.contact_centres_b, [[0.05, 0.2, 0.08], [0.05, -0.2, 0.08]], atol=1e-6
+    )
     assert robot.drive.wheel_radius_m == pytest.approx(0.08, abs=1e-3)
     # Two wheels do not scrub; joints' limits are the motors'.
     assert robot.drive.effective_track_m == pytest.approx(0.4, abs=1e-3)
     assert robot.drive.max_speed_mps == pytest.approx(0.8, abs=0.01)
     assert robot.drive.max_torque_nm == 3.0
-    assert robot.mounts.scanner_b == pytest.approx((0.0, 0.0, 0.21), abs=1e-3)
-    assert robot.wheels.left == (0,) and robot.wheels.right == (1,)
+    assert robot.description.mounts.scanner_b == pytest.approx((0.0, 0.0, 0.21), abs=1e-3)
+    assert robot.description.wheels.left == (0,) and robot.description.wheels.right == (1,)
     assert f"{MASS_KG:.2f} kg in 3 moving parts" in robot.summary()
 
 
@@ -68,7 +70,7 @@ def test_fixed_links_are_weighed_together(tmp_path):
 @every_backend
 def test_it_drives_straight_and_turns_as_told(backend, tmp_path):
     robot = cart(tmp_path, hull_friction=0.05)
-    drive = Drive(backend, rover=robot, position_w=(0.0, 0.0, robot.standing_height_m + 0.003))
+    drive = Drive(backend, rover=robot, position_w=(0.0, 0.0, robot.description.standing_height_m + 0.003))
     for _ in range(40):
         drive.step(0.5, 0.0)
     assert drive.stage.velocity[0] == pytest.approx(0.5, rel=0.05)

@@ -19,7 +19,7 @@ from wheels import ALL, WHEELS, Measured, on_wheels, reading, wheels_state, with
 
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.robots.rover_zero.robot import RoverZeroConf, RoverZeroDriveConf
-from dune_rl.robots.skid_steer import SkidSteerConf
+from dune_rl.robots.wheeled import SkidSteerConf
 from dune_rl.sensors.currents import Currents, CurrentsConf
 from dune_rl.sensors.encoders import EncodersConf
 

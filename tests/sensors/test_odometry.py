@@ -25,7 +25,7 @@ from wheels import (
 
 from dune_rl.geometry.frames import wrap_angle
 from dune_rl.robots.heading import HeadingConf
-from dune_rl.robots.skid_steer import SkidSteerConf
+from dune_rl.robots.wheeled import SkidSteerConf
 from dune_rl.sensors.encoders import EncodersConf
 from dune_rl.sensors.odometry import DriveGeometry, Odometry, OdometryConf
 

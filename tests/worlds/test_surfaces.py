@@ -49,9 +49,9 @@ def test_the_seven_surfaces_are_in_order_and_have_sources():
 def test_the_robot_is_as_heavy_as_its_description():
     root = parse(RoverZero(RoverZeroConf(), 1).body.urdf).getroot()
     masses = [float(mass.get("value", "")) for mass in root.iter("mass")]
-    assert sum(masses) == pytest.approx(RoverZero.mass_kg)
+    assert sum(masses) == pytest.approx(RoverZero.description.mass_kg)
     tyre = trimesh.load_mesh(assets_folder() / "robots" / "rover_zero" / "meshes" / "tyre.stl")
-    assert tyre.extents[1] == pytest.approx(RoverZero.contact_width_m, abs=2e-3)
+    assert tyre.extents[1] == pytest.approx(RoverZero.description.contact_width_m, abs=2e-3)
 
 
 @pytest.mark.parametrize(

@@ -40,10 +40,11 @@ def run_phases(world: str, engine: Engine, robot: str, scenes: int, seed: int) -
     """Drive all phases from `scenes` starts in a world."""
     recorded = RecordedSimulation(world, engine, robot, scenes, seed)
     recorded.simulation.reset()
-    step_s, wheels = recorded.step_s, recorded.robot.wheels
+    described, step_s = recorded.robot.description, recorded.step_s
+    wheels = described.wheels
     means = np.full((3, scenes, len(PHASES)), np.nan)
     for phase, (_, seconds, share, heading) in enumerate(PHASES):
-        command = np.tile(np.array([share * recorded.robot.max_speed_mps, heading], np.float32), (scenes, 1))
+        command = np.tile(np.array([share * described.max_speed_mps, heading], np.float32), (scenes, 1))
         rows = []
         for step in range(round(seconds / step_s)):
             # Episodes are not reset when they end: a stuck robot stays stuck.

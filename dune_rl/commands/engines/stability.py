@@ -85,13 +85,13 @@ def count_faults(
     recorded = RecordedSimulation(world, engine, robot, scenes, seed)
     simulation = recorded.simulation
     simulation.reset()
-    step_s, top_mps = recorded.step_s, recorded.robot.max_speed_mps
-    low, high = recorded.robot.action_bounds()
+    step_s, described = recorded.step_s, recorded.robot.description
+    top_mps, low, high = described.max_speed_mps, described.actions.low, described.actions.high
     draws = np.random.default_rng(seed)
     nan = fallen = jumps = diverged = fast = 0
     fastest = 0.0
     before, speed = recorded.motion.position_w.copy(), np.linalg.norm(recorded.motion.velocity_w, axis=1)
-    limit = SpeedLimit(top_mps, recorded.robot.mass_kg, speed)
+    limit = SpeedLimit(top_mps, described.mass_kg, speed)
     for step in range(round(minutes * 60 / step_s / scenes)):
         if step % round(_HOLD_S / step_s) == 0:
             actions = draws.uniform(low, high, (scenes, len(low))).astype(np.float32)

@@ -10,13 +10,11 @@ from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import clip, wrap_angle
 from dune_rl.physics.motors import Motor
 from dune_rl.physics.robot_body import RobotBody
-from dune_rl.robots.battery import BatteryConf
 from dune_rl.robots.heading import HeadingConf, HeadingController
 from dune_rl.robots.hyperdog.leg_kinematics import Leg
 from dune_rl.robots.hyperdog.trot import Trot, TrotConf
-from dune_rl.robots.mounts import MountsConf
-from dune_rl.robots.robot import BodyMotion, RectangularHull, speed_and_heading_bounds
-from dune_rl.robots.settings import RobotSettings
+from dune_rl.robots.robot import ActionRange, BodyMotion, RobotDescription
+from dune_rl.robots.settings import BatteryConf, MountsConf, RobotSettings
 
 _LEGS = ("front_left", "front_right", "rear_left", "rear_right")
 _JOINTS = ("hip", "upper", "lower")
@@ -69,20 +67,11 @@ class HyperDogConf(RobotSettings):
         return self.gait.height_m + _FOOT_RADIUS_M
 
 
-class HyperDog(RectangularHull):
+class HyperDog:
     """N dogs: a `Robot`.
 
     Frame: x forward, y left, z up; the origin is the body's centre, `standing_height_m` above level ground.
     """
-
-    # Over the knees at full stride, and over the feet in the fastest turn. It stands on 0.58 m by 0.37 m.
-    length_m = 0.67
-    width_m = 0.47
-    height_m = 0.30
-    contact_radius_m = _FOOT_RADIUS_M
-    contact_width_m = 2 * _FOOT_RADIUS_M
-    mass_kg = 5.0
-    wheels = None
 
     def __init__(self, conf: HyperDogConf, num_robots: int) -> None:
         self.conf = conf
@@ -92,9 +81,24 @@ class HyperDog(RectangularHull):
         self._correction = np.zeros((num_robots, 2))
         self._yaw = np.full(num_robots, np.nan)
         rest = _LEG.angles(self._trot.rest_b - _HIPS_B, _SIDE)
-        self.standing_height_m = conf.standing_height_m
-        self.mounts: MountsConf = conf.mounts
-        self.battery = conf.battery
+        self.description = RobotDescription(
+            # Over the knees at full stride, and over the feet in the fastest turn. It stands on 0.58 m by
+            # 0.37 m.
+            length_m=0.67,
+            width_m=0.47,
+            height_m=0.30,
+            standing_height_m=conf.standing_height_m,
+            mass_kg=5.0,
+            contact_centres_b=self._trot.rest_b,
+            contact_radius_m=_FOOT_RADIUS_M,
+            contact_width_m=2 * _FOOT_RADIUS_M,
+            max_speed_mps=conf.max_speed_mps,
+            max_yaw_rate_radps=conf.max_yaw_rate_radps,
+            heading_gain_per_s=conf.heading.kp,
+            mounts=conf.mounts,
+            battery=conf.battery,
+            joint_actions=_joint_actions(rest.ravel()) if conf.action == "joints" else None,
+        )
         no_load = np.inf if conf.no_load_speed_radps is None else conf.no_load_speed_radps
         self.body = RobotBody(
             urdf=assets_folder() / "robots" / "hyperdog" / "hyperdog.urdf",
@@ -115,39 +119,6 @@ class HyperDog(RectangularHull):
             ground_friction=conf.foot_friction,
             ground_links_meet_obstacles=True,
         )
-
-    @property
-    def contact_centres_b(self) -> Array:
-        """Centres (4, 3) [m] of the feet of the standing robot."""
-        return self._trot.rest_b
-
-    @property
-    def max_speed_mps(self) -> float:
-        """Largest speed that can be commanded."""
-        return self.conf.max_speed_mps
-
-    @property
-    def max_yaw_rate_radps(self) -> float:
-        """Largest yaw rate that can be commanded."""
-        return self.conf.max_yaw_rate_radps
-
-    @property
-    def heading_gain_per_s(self) -> float:
-        """Yaw rate over heading error, at rest."""
-        return self.conf.heading.kp
-
-    def action_bounds(self) -> tuple[Array, Array]:
-        """Bounds of speed and heading, each (2,), or of the joints, each (12,)."""
-        if self.conf.action == "joints":
-            return -np.ones(12), np.ones(12)
-        return speed_and_heading_bounds(self.max_speed_mps)
-
-    def rest_action(self) -> Array:
-        """Zero speed and no turn, (2,), or the scaled joint angles (12,) of the standing robot."""
-        if self.conf.action == "joints":
-            low, high = _LIMITS_OF_ALL
-            return 2.0 * (np.array(self.body.rest_commands()) - low) / (high - low) - 1.0
-        return np.zeros(2)
 
     def reset(self, mask: Flags) -> None:
         """Reset gait and controllers of the robots in `mask` (N,)."""
@@ -192,3 +163,9 @@ class HyperDog(RectangularHull):
         # A tilted robot does not correct its speed fully: it would push harder against what stops it.
         shares = np.column_stack([speed_share, np.ones_like(speed_share)])
         return self._target + self._correction * shares
+
+
+def _joint_actions(rest_rad: Array) -> ActionRange:
+    """Range of scaled joint angles, (12,) each; at rest the joints are at `rest_rad` (12,)."""
+    low, high = _LIMITS_OF_ALL
+    return ActionRange(-np.ones(12), np.ones(12), 2.0 * (rest_rad - low) / (high - low) - 1.0)

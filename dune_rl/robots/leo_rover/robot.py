@@ -1,5 +1,6 @@
 """Leo Rover: four wheels on two rockers with a differential."""
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -7,12 +8,10 @@ from pydantic import Field
 
 from dune_rl.core.paths import assets_folder
 from dune_rl.physics.robot_body import Coupling, PassiveJoint, RobotBody, Tyre
-from dune_rl.robots.battery import BatteryConf
 from dune_rl.robots.heading import HeadingConf
-from dune_rl.robots.mounts import MountsConf
-from dune_rl.robots.settings import RobotSettings
-from dune_rl.robots.skid_steer import SkidSteerConf
-from dune_rl.robots.wheeled import WheeledRobot, wheel_motor
+from dune_rl.robots.robot import RobotDescription
+from dune_rl.robots.settings import BatteryConf, MountsConf, RobotSettings
+from dune_rl.robots.wheeled import SkidSteerConf, WheeledRobot, wheel_motor
 
 # From a wheel's joint, at the outside of its hub, inward to the centre of its tyre [m].
 _TYRE_Y = 0.0449
@@ -68,7 +67,7 @@ class LeoRoverConf(RobotSettings):
     @property
     def standing_height_m(self) -> float:
         """Height of the origin over level ground."""
-        return LeoRover.standing_height_m
+        return LeoRover.description.standing_height_m
 
 
 class LeoRover(WheeledRobot):
@@ -79,27 +78,34 @@ class LeoRover(WheeledRobot):
     mean of theirs.
     """
 
-    # Over the tyres, and over the flanges of the hubs.
-    length_m = 0.436
-    width_m = 0.45
-    height_m = 0.25
-    standing_height_m = 0.198
-    contact_radius_m = 0.0625
-    contact_width_m = 0.07
-    mass_kg = 5.495
-    # Centres of the tyres with level rockers [m].
-    wheel_positions_b = np.array(
-        [[x, y, -0.1353] for x, y in ((0.1552, 0.1789), (0.1552, -0.1789), (-0.15, 0.1789), (-0.15, -0.1789))]
+    description = RobotDescription(
+        # Over the tyres, and over the flanges of the hubs.
+        length_m=0.436,
+        width_m=0.45,
+        height_m=0.25,
+        standing_height_m=0.198,
+        mass_kg=5.495,
+        # With level rockers.
+        contact_centres_b=np.array(
+            [
+                [0.1552, 0.1789, -0.1353],
+                [0.1552, -0.1789, -0.1353],
+                [-0.15, 0.1789, -0.1353],
+                [-0.15, -0.1789, -0.1353],
+            ]
+        ),
+        contact_radius_m=0.0625,
+        contact_width_m=0.07,
     )
 
     def __init__(self, conf: LeoRoverConf, num_robots: int) -> None:
         self.conf = conf
         wheels = [f"{end}_{side}_wheel" for end in ("front", "rear") for side in ("left", "right")]
         rockers = ("left_rocker_joint", "right_rocker_joint")
+        size = LeoRover.description
         super().__init__(
-            heading=conf.heading,
-            drive=conf.drive,
-            body=RobotBody(
+            replace(size, mounts=conf.mounts, battery=conf.battery),
+            RobotBody(
                 urdf=assets_folder() / "robots" / "leo_rover" / "leo_rover.urdf",
                 motors=tuple(wheel_motor(f"{wheel}_joint", conf.drive) for wheel in wheels),
                 ground_links=tuple(wheels),
@@ -108,12 +114,12 @@ class LeoRover(WheeledRobot):
                 tyres=tuple(
                     Tyre(
                         wheel,
-                        self.contact_radius_m,
-                        self.contact_width_m,
+                        size.contact_radius_m,
+                        size.contact_width_m,
                         (x, y, z),
                         centre=(0.0, float(np.copysign(_TYRE_Y, -y)), 0.0),
                     )
-                    for wheel, (x, y, z) in zip(wheels, self.wheel_positions_b.tolist(), strict=True)
+                    for wheel, (x, y, z) in zip(wheels, size.contact_centres_b.tolist(), strict=True)
                 ),
                 passive=tuple(
                     PassiveJoint(joint, conf.rocker_friction_nm, conf.rocker_damping_nms_per_rad)
@@ -121,8 +127,8 @@ class LeoRover(WheeledRobot):
                 ),
                 couplings=(Coupling(*rockers, ratio=-1.0),),
             ),
+            heading=conf.heading,
+            drive=conf.drive,
             on_left=["left" in wheel for wheel in wheels],
-            mounts=conf.mounts,
-            battery=conf.battery,
             num_robots=num_robots,
         )

@@ -1,5 +1,6 @@
 """Rover Zero, four-wheel drive: the paper's test platform."""
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -7,12 +8,10 @@ from pydantic import Field
 
 from dune_rl.core.paths import assets_folder
 from dune_rl.physics.robot_body import RobotBody, Tyre
-from dune_rl.robots.battery import BatteryConf
 from dune_rl.robots.heading import HeadingConf
-from dune_rl.robots.mounts import MountsConf
-from dune_rl.robots.settings import RobotSettings
-from dune_rl.robots.skid_steer import SkidSteerConf
-from dune_rl.robots.wheeled import WheeledRobot, wheel_motor
+from dune_rl.robots.robot import RobotDescription
+from dune_rl.robots.settings import BatteryConf, MountsConf, RobotSettings
+from dune_rl.robots.wheeled import SkidSteerConf, WheeledRobot, wheel_motor
 
 
 class RoverZeroDriveConf(SkidSteerConf):
@@ -46,7 +45,7 @@ class RoverZeroConf(RobotSettings):
     @property
     def standing_height_m(self) -> float:
         """Height of the origin over level ground."""
-        return RoverZero.standing_height_m
+        return RoverZero.description.standing_height_m
 
 
 class RoverZero(WheeledRobot):
@@ -55,37 +54,38 @@ class RoverZero(WheeledRobot):
     Frame: x forward, y left, z up; the origin is the chassis centre, `standing_height_m` above level ground.
     """
 
-    # Of the hull, and over the tyres.
-    length_m = 0.62
-    width_m = 0.443
-    height_m = 0.254
-    standing_height_m = 0.125
-    mass_kg = 11.0
-    contact_width_m = 0.083
-    contact_radius_m = 0.125
-    # Centres of the wheels [m].
-    wheel_positions_b = np.array(
-        [[0.1415, 0.18, 0.0], [0.1415, -0.18, 0.0], [-0.145, 0.18, 0.0], [-0.145, -0.18, 0.0]]
+    description = RobotDescription(
+        # Of the hull, and over the tyres.
+        length_m=0.62,
+        width_m=0.443,
+        height_m=0.254,
+        standing_height_m=0.125,
+        mass_kg=11.0,
+        contact_centres_b=np.array(
+            [[0.1415, 0.18, 0.0], [0.1415, -0.18, 0.0], [-0.145, 0.18, 0.0], [-0.145, -0.18, 0.0]]
+        ),
+        contact_radius_m=0.125,
+        contact_width_m=0.083,
     )
 
     def __init__(self, conf: RoverZeroConf, num_robots: int) -> None:
         self.conf = conf
         wheels = [f"{end}_{side}_wheel" for end in ("front", "rear") for side in ("left", "right")]
+        size = RoverZero.description
         super().__init__(
-            heading=conf.heading,
-            drive=conf.drive,
-            body=RobotBody(
+            replace(size, mounts=conf.mounts, battery=conf.battery),
+            RobotBody(
                 urdf=assets_folder() / "robots" / "rover_zero" / "rover_zero.urdf",
                 motors=tuple(wheel_motor(f"{wheel}_joint", conf.drive) for wheel in wheels),
                 ground_links=tuple(wheels),
                 ground_friction=conf.wheel_friction,
                 tyres=tuple(
-                    Tyre(wheel, self.contact_radius_m, self.contact_width_m, (x, y, z))
-                    for wheel, (x, y, z) in zip(wheels, self.wheel_positions_b.tolist(), strict=True)
+                    Tyre(wheel, size.contact_radius_m, size.contact_width_m, (x, y, z))
+                    for wheel, (x, y, z) in zip(wheels, size.contact_centres_b.tolist(), strict=True)
                 ),
             ),
+            heading=conf.heading,
+            drive=conf.drive,
             on_left=["left" in wheel for wheel in wheels],
-            mounts=conf.mounts,
-            battery=conf.battery,
             num_robots=num_robots,
         )

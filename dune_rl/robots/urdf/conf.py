@@ -5,10 +5,8 @@ from typing import Literal
 from pydantic import Field
 
 from dune_rl.core.settings import Settings
-from dune_rl.robots.battery import BatteryConf
 from dune_rl.robots.heading import HeadingConf
-from dune_rl.robots.mounts import Triple
-from dune_rl.robots.settings import RobotSettings
+from dune_rl.robots.settings import BatteryConf, RobotSettings, Triple
 
 DriveKind = Literal["skid_steer", "ackermann"]
 

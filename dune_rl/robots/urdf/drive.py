@@ -6,14 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from dune_rl.core.errors import RobotError
-from dune_rl.robots.ackermann import AckermannConf, AckermannDrive
-from dune_rl.robots.skid_steer import SkidSteerConf
-from dune_rl.robots.steering_geometry import SteeringGeometry
+from dune_rl.robots.ackermann import AckermannConf, AckermannDrive, SteeringGeometry
 from dune_rl.robots.urdf.conf import UrdfConf, UrdfDriveConf
 from dune_rl.robots.urdf.layout import RobotLayout
 from dune_rl.robots.urdf.model import Joint, UrdfModel
 from dune_rl.robots.urdf.steering import steering_geometry, steering_rate
 from dune_rl.robots.urdf.torque import NO_LIMIT_RATIO, climbing_torque, steering_torque, turning_torque
+from dune_rl.robots.wheeled import SkidSteerConf
 
 # Effective over real track of wheels that scrub sideways: rover_zero's, measured.
 _SCRUB_RATIO = 1.4

@@ -8,7 +8,7 @@ import numpy as np
 
 from dune_rl.core.errors import RobotError
 from dune_rl.geometry.arrays import Array
-from dune_rl.robots.steering_geometry import SteeredPivots, SteeringGeometry
+from dune_rl.robots.ackermann import SteeringGeometry, SteeringJoints
 from dune_rl.robots.urdf.conf import UrdfConf, UrdfDriveConf
 from dune_rl.robots.urdf.model import Joint, UrdfModel
 from dune_rl.robots.urdf.wheels import Wheel, check_joint_names, list_moving_joints
@@ -131,7 +131,7 @@ def steering_geometry(
     own = [pivots.steering.get(wheel.joint.name) for wheel in driven]
     return SteeringGeometry(
         turning_x_m=turning_x,
-        pivots=SteeredPivots(
+        pivots=SteeringJoints(
             positions_b=np.array(list(places.values())),
             signs=np.array([np.sign(_axis_b(joint, model)[2]) for joint in joints]),
             limits=np.array(limits),
