@@ -8,7 +8,7 @@ import pybullet
 import pytest
 
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.physics.bullet.meshes import create_mesh_shape, release_mesh_lists
+from dune_rl.physics.bullet.client import create_mesh_shape, release_mesh_lists
 
 
 def ground(cells: int, height_m: float) -> tuple[np.ndarray, np.ndarray]:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from dune_rl.physics.base_frame import InertialFrame, Quadruple, Triple
 from dune_rl.physics.bullet.body import LoadedBody
-from dune_rl.physics.stderr import suppress_stderr
+from dune_rl.physics.process import suppress_stderr
 
 with suppress_stderr():
     import pybullet

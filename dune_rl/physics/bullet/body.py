@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 from dune_rl.core.errors import PhysicsError
 from dune_rl.physics.bullet.tyres import tyre_link_name
+from dune_rl.physics.process import suppress_stderr
 from dune_rl.physics.robot_body import RobotBody
-from dune_rl.physics.stderr import suppress_stderr
 
 with suppress_stderr():
     import pybullet

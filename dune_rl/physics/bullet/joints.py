@@ -1,8 +1,8 @@
 """Passive joints, start angles and couplings of a robot in PyBullet."""
 
 from dune_rl.physics.bullet.body import LoadedBody
+from dune_rl.physics.process import suppress_stderr
 from dune_rl.physics.robot_body import Coupling, RobotBody
-from dune_rl.physics.stderr import suppress_stderr
 
 with suppress_stderr():
     import pybullet

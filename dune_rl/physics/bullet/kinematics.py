@@ -8,8 +8,8 @@ import numpy as np
 
 from dune_rl.geometry.arrays import Array
 from dune_rl.physics.bullet.pushes import DAMPING_NSPM, STIFFNESS_NPM, Push
+from dune_rl.physics.process import suppress_stderr
 from dune_rl.physics.shapes import KINEMATIC_FRICTION, KinematicBox, KinematicShape
-from dune_rl.physics.stderr import suppress_stderr
 
 with suppress_stderr():
     import pybullet

@@ -7,8 +7,8 @@ from dune_rl.physics.bullet.body import LoadedBody
 from dune_rl.physics.bullet.collision import set_up_links
 from dune_rl.physics.bullet.joints import set_up_joints
 from dune_rl.physics.bullet.urdf import RobotUrdfs, load_shared_urdfs, named_file
+from dune_rl.physics.process import suppress_stderr
 from dune_rl.physics.robot_body import RobotBody
-from dune_rl.physics.stderr import suppress_stderr
 from dune_rl.physics.varied_body import BodyVariation
 
 with suppress_stderr():

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 
 from dune_rl.physics.bullet.body import LoadedBody
 from dune_rl.physics.motors import Servos, held_targets, motor_power_w
+from dune_rl.physics.process import suppress_stderr
 from dune_rl.physics.robot_body import RobotBody
-from dune_rl.physics.stderr import suppress_stderr
 from dune_rl.physics.varied_body import scale_motors
 
 with suppress_stderr():

@@ -7,18 +7,22 @@ from typing import NamedTuple
 
 from dune_rl.core.errors import PhysicsError
 from dune_rl.geometry.arrays import Array
-from dune_rl.physics.bullet.clients import open_client, release_client
+from dune_rl.physics.bullet.client import (
+    create_mesh_shape,
+    open_client,
+    release_client,
+    release_mesh_lists,
+)
 from dune_rl.physics.bullet.collision import GROUND, HULL, OBSTACLE, WHEEL
 from dune_rl.physics.bullet.joints import GEAR_ITERATIONS
 from dune_rl.physics.bullet.kinematics import BulletKinematics
-from dune_rl.physics.bullet.meshes import create_mesh_shape, release_mesh_lists
 from dune_rl.physics.bullet.robot import BulletRobot
 from dune_rl.physics.bullet.touch import ANY_BODY
 from dune_rl.physics.contact_gate import ContactGate
 from dune_rl.physics.interface import SceneSpec
 from dune_rl.physics.mesh_pieces import mesh_pieces
+from dune_rl.physics.process import suppress_stderr
 from dune_rl.physics.shapes import StaticBody
-from dune_rl.physics.stderr import suppress_stderr
 from dune_rl.physics.tyre_activation import TyreActivation
 
 with suppress_stderr():

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from dune_rl.physics.bullet.body import LoadedBody
-from dune_rl.physics.stderr import suppress_stderr
+from dune_rl.physics.process import suppress_stderr
 
 with suppress_stderr():
     import pybullet

@@ -4,15 +4,12 @@ import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
-from weakref import WeakValueDictionary, finalize
-
-import numpy as np
+from weakref import WeakValueDictionary
 
 from dune_rl.core.errors import PhysicsError
 from dune_rl.geometry.arrays import Array
 from dune_rl.physics.dart.files import is_open_surface, mesh_corners, write_meshes
 from dune_rl.physics.dart.library import dartpy
-from dune_rl.physics.dart.memory import CopyWatch, MeshCopy, forget_copies, free_unused_copies
 from dune_rl.physics.dart.robot import DartRobot
 from dune_rl.physics.dart.template import ROBOT_FRICTION, parse_skeleton
 from dune_rl.physics.shapes import StaticBody
@@ -160,10 +157,11 @@ def add_shape(body: Any, shape: Any, friction: float, height_m: float = 0.0) -> 
 class CollisionMeshes:
     """Mesh shapes of static bodies, and the collision detector that holds their bounding volume trees.
 
-    With `frees_copies`, what DART keeps of them is freed after them.
+    DART 6.20 never deletes its copy of the triangles (`createMesh` in BulletCollisionDetector.cpp): 108 bytes
+    of each stay for every world that a process enters, see `experiments/memory`.
     """
 
-    def __init__(self, statics: tuple[StaticBody, ...], *, frees_copies: bool = True) -> None:
+    def __init__(self, statics: tuple[StaticBody, ...]) -> None:
         self.statics = statics
         self.detector = dartpy.collision.BulletCollisionDetector()
         self.is_open = [is_open_surface(body) for body in statics]
@@ -175,15 +173,7 @@ class CollisionMeshes:
         for shape in self.shapes:
             add_shape(body, shape, 0.0)
         self._group = self.detector.createCollisionGroup()
-        frames = [*body.getShapeNodes()]
-        if not frees_copies:
-            self._group.addShapeFrames(frames)
-            return
-        free_unused_copies()
-        copies: list[MeshCopy] = []
-        with _watch_copies(meshes, copies):
-            self._group.addShapeFrames(frames)
-        finalize(self, forget_copies, copies)
+        self._group.addShapeFrames([*body.getShapeNodes()])
 
     def _load(self, meshes: Sequence[Array]) -> list[Any]:
         if not self.statics:
@@ -199,15 +189,6 @@ class CollisionMeshes:
                 )
             return [node.getShape() for node in nodes]
 
-
-def _load_alone(corners: Array) -> CollisionMeshes:
-    """A mesh of these corners (F, 3, 3) in a detector of its own."""
-    faces = np.arange(3 * len(corners), dtype=np.int32).reshape(-1, 3)
-    body = StaticBody("trial", corners.reshape(-1, 3), faces, 1.0, ground=False)
-    return CollisionMeshes((body,), frees_copies=False)
-
-
-_watch_copies = CopyWatch(_load_alone)
 
 # Scenes with the same statics share an entry, which lives as long as one of them. The entry holds the
 # statics, so that no other tuple can get the same id.

@@ -1,5 +1,6 @@
-"""Suppression of what C libraries print on standard error."""
+"""The process that engines run in: what their C code prints, and the memory that they have freed."""
 
+import ctypes
 import os
 import sys
 from collections.abc import Iterator
@@ -29,3 +30,11 @@ def suppress_stderr() -> Iterator[None]:
         os.dup2(original, _STDERR_DESCRIPTOR)
         os.close(original)
         os.close(null_device)
+
+
+def return_free_memory() -> None:
+    """Return freed memory to the operating system, where the C library has `malloc_trim` (glibc)."""
+    if sys.platform == "linux":
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+        if trim is not None:
+            trim(0)
