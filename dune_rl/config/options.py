@@ -1,4 +1,4 @@
-"""Options of groups that no YAML file states: the worlds, robots and algorithms of users."""
+"""Options of groups that no YAML file states: the worlds, robots, engines and algorithms of users."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -10,11 +10,17 @@ from hydra.core.config_store import ConfigStore
 from dune_rl.core.errors import DuneError
 from dune_rl.core.registry import Registry
 from dune_rl.learning.registry import ALGORITHMS
+from dune_rl.physics.interface import ENGINES
 from dune_rl.robots.registry import ROBOTS
 from dune_rl.worlds.registry import WORLDS
 
 # The groups of options (folders of conf/) whose options are the parts of a registry.
-REGISTRIES: Mapping[str, Registry[Any]] = {"world": WORLDS, "robot": ROBOTS, "learning": ALGORITHMS}
+REGISTRIES: Mapping[str, Registry[Any]] = {
+    "world": WORLDS,
+    "robot": ROBOTS,
+    "physics": ENGINES,
+    "learning": ALGORITHMS,
+}
 _PROVIDER = "dune_rl"
 
 

@@ -1,20 +1,31 @@
-"""Interface of a physics engine: the description of a scene (`SceneSpec`), and protocols of its objects."""
+"""Interface of a physics engine: the description of a scene, protocols of its objects, and the registry."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol, Self, get_args
+from functools import partial
+from typing import Annotated, Literal, Protocol, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
+from dune_rl.core.errors import PhysicsError
+from dune_rl.core.registry import Registry
 from dune_rl.core.settings import Settings
 from dune_rl.geometry.arrays import Array
 from dune_rl.physics.robot_body import RobotBody
 from dune_rl.physics.shapes import KinematicShape, StaticBody
 from dune_rl.physics.varied_body import BodyVariation
 
-Engine = Literal["bullet", "dart"]
 FrictionModel = Literal["pyramid", "cone"]
-ENGINES: tuple[Engine, ...] = get_args(Engine)
+
+
+def _check_engine(name: str) -> str:
+    if name not in ENGINES.names():
+        raise ValueError(ENGINES.unknown(name))
+    return name
+
+
+# The name of a registered engine.
+Engine = Annotated[str, AfterValidator(_check_engine)]
 
 
 class PhysicsConf(Settings):
@@ -228,3 +239,36 @@ def step_scene(scene: PhysicsScene, count: int, kinematic_poses: Array) -> None:
     """Advance a scene by `count` physics steps: see `PhysicsScene.begin_step`."""
     scene.begin_step(count, kinematic_poses)
     scene.finish_step()
+
+
+class EngineSettings(Settings):
+    """Base of an engine's settings: its name."""
+
+    backend: str
+
+
+# An engine is what makes its scenes.
+ENGINES: Registry[PhysicsScene] = Registry(
+    "engine",
+    "dune_rl.physics.interface:ENGINES",
+    own={
+        "bullet": "dune_rl.physics.bullet.scene:BulletScene",
+        "dart": "dune_rl.physics.dart.scene:DartScene",
+    },
+    base=EngineSettings,
+    product=PhysicsScene,
+    form="a class of scenes, made with (spec), or a function of (spec) that returns a PhysicsScene",
+    function_leading=("spec",),
+    class_leading=("spec",),
+    tag="backend",
+    error=PhysicsError,
+)
+OWN_ENGINES: tuple[str, ...] = tuple(ENGINES.own)
+
+
+def scene_maker(engine: str) -> Callable[[SceneSpec], PhysicsScene]:
+    """The function that makes an engine's scenes; raises `PhysicsError` if the engine is not installed."""
+    settings = ENGINES.settings_class(engine)
+    if settings is None:
+        raise PhysicsError(ENGINES.unknown(engine))
+    return partial(ENGINES.build, settings(backend=engine))

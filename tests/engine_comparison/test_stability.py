@@ -15,8 +15,8 @@ every_robot = pytest.mark.parametrize("robot", MASSES_KG)
 
 def drive(monkeypatch, kind: type[UnchangedRobot], world: str, engine: str, robot: str) -> FaultCounts:
     """The faults of ten seconds of random driving."""
-    planted = tampered(kind, recording.scene_class, MASSES_KG[robot])
-    monkeypatch.setattr(recording, "scene_class", planted)
+    planted = tampered(kind, recording.scene_maker, MASSES_KG[robot])
+    monkeypatch.setattr(recording, "scene_maker", planted)
     return count_faults(world, engine, robot, minutes=1 / 6, scenes=2, seed=0)
 
 

@@ -28,7 +28,7 @@ from torchrl.envs import TransformedEnv
 
 import dune_rl
 from dune_rl.env.torchrl import EpisodeMetrics
-from dune_rl.physics.interface import ENGINES
+from dune_rl.physics.interface import OWN_ENGINES
 
 AGENTS = {
     "team": ["rover_0", "rover_1", "rover_2"],
@@ -42,7 +42,7 @@ def scene(request: pytest.FixtureRequest) -> str:
     return request.param
 
 
-@pytest.fixture(scope="module", params=ENGINES)
+@pytest.fixture(scope="module", params=OWN_ENGINES)
 def engine(request: pytest.FixtureRequest) -> str:
     return request.param
 

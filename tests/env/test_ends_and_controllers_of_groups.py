@@ -28,9 +28,9 @@ from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.controllers import PolicyController
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.physics.bullet.scene import BulletScene
-from dune_rl.physics.interface import ENGINES
+from dune_rl.physics.interface import OWN_ENGINES
 
-every_engine = pytest.mark.parametrize("engine", ENGINES)
+every_engine = pytest.mark.parametrize("engine", OWN_ENGINES)
 
 
 @pytest.fixture(scope="module", params=SCENES)
@@ -38,7 +38,7 @@ def scene(request: pytest.FixtureRequest) -> str:
     return request.param
 
 
-@pytest.fixture(scope="module", params=ENGINES)
+@pytest.fixture(scope="module", params=OWN_ENGINES)
 def engine(request: pytest.FixtureRequest) -> str:
     return request.param
 

@@ -40,7 +40,7 @@ from dune_rl.config.compose import compose_environment
 from dune_rl.core.errors import ConfigError, WorldError
 from dune_rl.env.scene_spec import scene_spec, standing_pose
 from dune_rl.env.simulation import VectorSimulation
-from dune_rl.physics.interface import ENGINES, Engine, PhysicsConf, step_scene
+from dune_rl.physics.interface import OWN_ENGINES, Engine, PhysicsConf, step_scene
 from dune_rl.robots.robot import Robot
 from dune_rl.robots.rover_zero.robot import RoverZeroConf
 from dune_rl.worlds.flat import FlatConf, build_flat
@@ -295,12 +295,12 @@ def digest_of_several(engine: Engine) -> str:
 
 @pytest.mark.slow
 def test_equal_seeds_give_equal_bytes_in_any_process() -> None:
-    expected = [digest_of_several(engine) for engine in ENGINES]
+    expected = [digest_of_several(engine) for engine in OWN_ENGINES]
     environ = os.environ | {
         "PYTHONPATH": os.pathsep.join(sys.path),
         "PYTHONHASHSEED": "77",
     }
-    code = "from test_several_robots import *; print(*map(digest_of_several, reversed(ENGINES)))"
+    code = "from test_several_robots import *; print(*map(digest_of_several, reversed(OWN_ENGINES)))"
     done = subprocess.run(
         [sys.executable, "-c", code], env=environ, capture_output=True, text=True, check=True
     )

@@ -13,13 +13,13 @@ from dune_rl.config.schema import EnvConf
 from dune_rl.env.agent_group import GroupStep
 from dune_rl.env.simulation import SimulationStep, VectorSimulation
 from dune_rl.geometry.frames import wrap_angle
-from dune_rl.physics.interface import ENGINES
+from dune_rl.physics.interface import OWN_ENGINES
 from dune_rl.state import GroupState, Motion
 from dune_rl.worlds.world import World
 
 Array = NDArray[np.float64]
 
-every_engine = pytest.mark.parametrize("engine", ENGINES)
+every_engine = pytest.mark.parametrize("engine", OWN_ENGINES)
 
 _composed: dict[str, EnvConf] = {}
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from simulations import act, metric, metrics, motion_of_group, observation, started_simulation
 
-from dune_rl.physics.interface import ENGINES
+from dune_rl.physics.interface import OWN_ENGINES
 
 SENSES: dict[str, Any] = {
     "enabled": [
@@ -36,7 +36,7 @@ WANDERING: dict[str, Any] = {
 def test_episodes_and_senses_do_not_depend_on_the_engine(robot: str, monkeypatch: pytest.MonkeyPatch) -> None:
     world = {"name": "island", "grass_cover": 0.3}
     settings = {**WANDERING, "robot": robot, "sensors": ROBOTS[robot]}
-    bullet, dart = (started_simulation(world, 2, 6, physics=engine, **settings) for engine in ENGINES)
+    bullet, dart = (started_simulation(world, 2, 6, physics=engine, **settings) for engine in OWN_ENGINES)
     # Both have settled on their wheels or feet.
     np.testing.assert_allclose(
         motion_of_group(bullet).position_w, motion_of_group(dart).position_w, atol=0.02
@@ -75,7 +75,7 @@ GRIPPING_LEO = {"name": "leo_rover", "sideways_friction_share": 1.0}
 )
 def test_the_same_commands_come_to_much_the_same(robot: Any, task: str) -> None:
     found = []
-    for engine in ENGINES:
+    for engine in OWN_ENGINES:
         settings = {"robot": robot, "physics": engine, "task": task, "metrics": {"energy": True}}
         simulation = started_simulation("flat", 4, 6, **settings)
         start = motion_of_group(simulation).position_w.copy()

@@ -7,7 +7,7 @@ import numpy as np
 from dune_rl.commands.engines.recording import RecordedSimulation
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import wrap_angle
-from dune_rl.physics.interface import ENGINES, Engine
+from dune_rl.physics.interface import OWN_ENGINES, Engine
 
 # Name, duration [s], and command: speed as a share of the robot's largest, and relative heading [rad].
 PHASES: tuple[tuple[str, float, float, float], ...] = (
@@ -67,15 +67,15 @@ def run_phases(world: str, engine: Engine, robot: str, scenes: int, seed: int) -
 
 def agreement_tables(robot: str, worlds: tuple[str, ...], scenes: int, seed: int) -> str:
     """Both engines' runs of a robot as two Markdown tables."""
-    heads = ("world", "phase", *(f"{what}, {engine}" for what in _UNITS for engine in ENGINES))
+    heads = ("world", "phase", *(f"{what}, {engine}" for what in _UNITS for engine in OWN_ENGINES))
     phases = [_row(heads), _row(["---"] * len(heads))]
     ends = [
         _row(("world", "free starts", "distance between ends, median / largest", "yaw between ends, median")),
         _row(["---"] * 4),
     ]
     for world in worlds:
-        runs = {engine: run_phases(world, engine, robot, scenes, seed) for engine in ENGINES}
-        one, other = (runs[engine] for engine in ENGINES)
+        runs = {engine: run_phases(world, engine, robot, scenes, seed) for engine in OWN_ENGINES}
+        one, other = (runs[engine] for engine in OWN_ENGINES)
         # A robot that hits a wall in one engine and just passes it in the other says nothing about either.
         free = ~(one.had_contact | other.had_contact)
         if not free.any():
@@ -83,7 +83,7 @@ def agreement_tables(robot: str, worlds: tuple[str, ...], scenes: int, seed: int
         for number, (name, _, share, _) in enumerate(PHASES):
             cells = []
             for what, unit in _UNITS.items():
-                for engine in ENGINES:
+                for engine in OWN_ENGINES:
                     value = _mean(what, runs[engine], free, number)
                     is_defined = not np.isnan(value) and (what != "slip" or share != 0.0)
                     cells.append(f"{value + 0.0:.3f}{unit}" if is_defined else "-")

@@ -14,7 +14,7 @@ from dune_rl.commands.engines.stability import count_faults
 from dune_rl.config.checks import validate
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.settings import Settings
-from dune_rl.physics.interface import ENGINES, Engine
+from dune_rl.physics.interface import OWN_ENGINES, Engine
 
 Name = Annotated[str, Field(min_length=1)]
 
@@ -23,7 +23,7 @@ class EnginesConf(Settings):
     """Settings of the comparison."""
 
     parts: tuple[Literal["agreement", "stability"], ...] = ("agreement", "stability")
-    engines: tuple[Engine, ...] = ENGINES
+    engines: tuple[Engine, ...] = OWN_ENGINES
     robots: tuple[Name, ...] = ("rover_zero",)
     places: tuple[Name, ...] = ("flat", "slope", "inspection")
     worlds: tuple[Name, ...] = ("flat", "inspection", "construction", "rubicon", "island")

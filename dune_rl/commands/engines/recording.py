@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.config.build import build_world, group_setups, scene_class
+from dune_rl.config.build import build_world, group_setups
 from dune_rl.config.compose import compose_environment
 from dune_rl.env.simulation import SimulationStep, VectorSimulation
 from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.physics.interface import Engine, PhysicsRobot, PhysicsScene, SceneSpec
+from dune_rl.physics.interface import Engine, PhysicsRobot, PhysicsScene, SceneSpec, scene_maker
 from dune_rl.robots.robot import Robot
 from dune_rl.state.state import Motion
 from dune_rl.worlds.world import World
@@ -94,7 +94,7 @@ class RecordedSimulation:
                 **(settings or {}),
             },
         )
-        make = scene_class(conf.physics.backend)
+        make = scene_maker(conf.physics.backend)
         self.scenes: list[RecordingScene] = []
 
         def make_scene(spec: SceneSpec) -> Any:

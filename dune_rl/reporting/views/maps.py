@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.progress import Progress
 from torch import no_grad
 
-from dune_rl.config.build import build_world, group_setups, make_torchrl_env, scene_class
+from dune_rl.config.build import build_world, group_setups, make_torchrl_env
 from dune_rl.config.commands import ViewConf
 from dune_rl.config.controller_settings import reads_sensors
 from dune_rl.core.files import write_atomically
@@ -18,6 +18,7 @@ from dune_rl.env.scene_manager import SceneManager
 from dune_rl.env.starts.episode_start import EpisodeStarter
 from dune_rl.env.starts.placement import draw_starts
 from dune_rl.geometry.arrays import Array
+from dune_rl.physics.interface import scene_maker
 from dune_rl.reporting.views.episode import SENSORS_OF_POLICIES, policy_factory
 from dune_rl.reporting.views.tracks import TrackRecorder
 from dune_rl.sensors.conf import parse_sensors
@@ -50,7 +51,7 @@ def map_content(conf: ViewConf, tracks: list[Track]) -> MapContent:
         world,
         conf.weather,
         DomainRandomizer.none(world, conf.weather),
-        scene_class(conf.physics.backend),
+        scene_maker(conf.physics.backend),
         conf.physics,
         num_scenes=1,
     )

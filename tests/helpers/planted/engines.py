@@ -81,11 +81,11 @@ class TamperedScene:
 Maker = Callable[[str], Any]
 
 
-def tampered(kind: type[UnchangedRobot], scene_class: Maker, mass_kg: float) -> Maker:
-    """`scene_class`, with every robot of every scene wrapped in `kind`."""
+def tampered(kind: type[UnchangedRobot], scene_maker: Maker, mass_kg: float) -> Maker:
+    """`scene_maker`, with every robot of every scene wrapped in `kind`."""
 
     def make_of(backend: str) -> Any:
-        make = scene_class(backend)
+        make = scene_maker(backend)
 
         def make_scene(spec: SceneSpec) -> TamperedScene:
             return TamperedScene(make(spec), kind, mass_kg)
