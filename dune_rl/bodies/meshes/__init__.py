@@ -1,1 +1,0 @@
-"""Meshes of bodies, made of simple solids by our own code."""
