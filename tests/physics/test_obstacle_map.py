@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scenes import box, plane
 
-from dune_rl.physics.obstacle_map import ObstacleMap, _surface_points
+from dune_rl.physics.contact_gate import ObstacleMap, _surface_points
 
 
 def sampled(triangles: np.ndarray, spacing_m: float) -> tuple[np.ndarray, int]:

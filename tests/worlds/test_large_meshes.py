@@ -7,7 +7,7 @@ from simulations import act, motion_of_group
 from world_files import bumpy_ground, ground_height
 
 from dune_rl.physics.bullet import scene as bullet
-from dune_rl.physics.mesh_pieces import mesh_pieces
+from dune_rl.physics.shapes import mesh_pieces
 from dune_rl.worlds.importing.heightmap_world import HeightmapConf, build_heightmap
 from dune_rl.worlds.world import World
 

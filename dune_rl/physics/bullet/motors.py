@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 
-from dune_rl.physics.bullet.body import LoadedBody
+from dune_rl.physics.bullet.loading import LoadedBody
 from dune_rl.physics.motors import Servos, held_targets, motor_power_w
 from dune_rl.physics.process import suppress_stderr
 from dune_rl.physics.robot_body import RobotBody

@@ -13,17 +13,13 @@ from dune_rl.physics.bullet.client import (
     release_client,
     release_mesh_lists,
 )
-from dune_rl.physics.bullet.collision import GROUND, HULL, OBSTACLE, WHEEL
-from dune_rl.physics.bullet.joints import GEAR_ITERATIONS
 from dune_rl.physics.bullet.kinematics import BulletKinematics
-from dune_rl.physics.bullet.robot import BulletRobot
-from dune_rl.physics.bullet.touch import ANY_BODY
-from dune_rl.physics.contact_gate import ContactGate
+from dune_rl.physics.bullet.loading import GEAR_ITERATIONS, GROUND, HULL, OBSTACLE, WHEEL
+from dune_rl.physics.bullet.robot import ANY_BODY, BulletRobot
+from dune_rl.physics.contact_gate import ContactGate, TyreActivation
 from dune_rl.physics.interface import SceneSpec
-from dune_rl.physics.mesh_pieces import mesh_pieces
 from dune_rl.physics.process import suppress_stderr
-from dune_rl.physics.shapes import StaticBody
-from dune_rl.physics.tyre_activation import TyreActivation
+from dune_rl.physics.shapes import StaticBody, mesh_pieces
 
 with suppress_stderr():
     import pybullet

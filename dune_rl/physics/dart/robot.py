@@ -1,19 +1,95 @@
-"""A robot in a DART scene."""
+"""A robot in a DART scene, and the contacts of its boxes' corners."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
-from dune_rl.physics.dart.differential import Differential, is_chained
-from dune_rl.physics.dart.drives import Drives
-from dune_rl.physics.dart.floating_base import FloatingBase
-from dune_rl.physics.dart.foot_contacts import FootContacts
-from dune_rl.physics.dart.gears import Gears, has_driven_coupling
-from dune_rl.physics.dart.template import has_only_spheres, load_template, measure_reach_m, split_by_role
-from dune_rl.physics.dart.tyre_bodies import TyreBodies
-from dune_rl.physics.dart.work_meter import WorkMeter
+import numpy as np
+
+from dune_rl.physics.dart.library import dartpy
+from dune_rl.physics.dart.loading import (
+    ROBOT_FRICTION,
+    has_only_spheres,
+    load_template,
+    measure_reach_m,
+    split_by_role,
+)
+from dune_rl.physics.dart.motors import (
+    Differential,
+    Drives,
+    Gears,
+    WorkMeter,
+    has_driven_coupling,
+    is_chained,
+)
+from dune_rl.physics.dart.tyres import FootContacts, TyreBodies
 from dune_rl.physics.robot_body import RobotBody
 from dune_rl.physics.varied_body import BodyVariation, scale_motors, varied_urdf
+
+# No robot drives down a slope faster than this.
+_FALL_MPS = 0.5
+
+
+class FloatingBase:
+    """The base link of the skeleton `robot`.
+
+    Its state is read at most once between two calls of `mark_moved`.
+    """
+
+    def __init__(self, robot: Any) -> None:
+        self._body, self._joint = robot.getBodyNode(0), robot.getJoint(0)
+        self._state: tuple[list[float], list[float]] | None = None
+
+    def place(self, position_w: Sequence[float], quaternion: Sequence[float]) -> None:
+        """Put the link's origin at `position_w` (3) [m], turned by `quaternion` (4, xyzw)."""
+        x, y, z, w = quaternion
+        self._joint.setTransform(dartpy.math.Isometry3(dartpy.math.Quaternion(w, x, y, z), list(position_w)))
+        self._state = None
+
+    @property
+    def mass_kg(self) -> float:
+        """Mass of the link."""
+        return float(self._body.getMass())
+
+    def mark_moved(self) -> None:
+        """Drop the state that was read before a physics step."""
+        self._state = None
+
+    def planar_motion(self) -> tuple[float, float, float]:
+        """Position x, y [m] of the link's origin, and its speed [m/s] in all three directions."""
+        (_, _, _, x, y, _), (_, _, _, vx, vy, vz) = self._read()
+        return x, y, math.hypot(vx, vy, vz)
+
+    def is_falling(self) -> bool:
+        """Whether the link moves down faster than in any drive down a slope."""
+        return self._read()[1][5] < -_FALL_MPS
+
+    def state(self) -> tuple[float, ...]:
+        """Pose and velocities (13), as in `PhysicsRobot.body_state`."""
+        (rx, ry, rz, px, py, pz), (ax, ay, az, vx, vy, vz) = self._read()
+        angle = math.sqrt(rx * rx + ry * ry + rz * rz)
+        scale = math.sin(angle / 2) / angle if angle > 1e-12 else 0.5
+        return (px, py, pz, scale * rx, scale * ry, scale * rz, math.cos(angle / 2), vx, vy, vz, ax, ay, az)
+
+    def _read(self) -> tuple[list[float], list[float]]:
+        """Positions and velocities (6 each) of the base joint."""
+        state = self._state
+        if state is None:
+            # The joint's getters cost a tenth of the body's, which derives its state from the joint.
+            joint = self._joint
+            self._state = state = joint.getPositions().tolist(), joint.getVelocities().tolist()
+        return state
+
+    def act_force(self, force_w: Sequence[float]) -> None:
+        """Apply a force (3) [N], world frame, on the centre of mass in the next physics step."""
+        # Set again in each step, because the engine keeps a force in the body's frame, which may turn.
+        self._body.setExtForce(force_w, self._body.getLocalCOM(), False, True)
+
+    def clear_force(self) -> None:
+        """Remove the force of `act_force`."""
+        self._body.clearExternalForces()
 
 
 class DartRobot:
@@ -169,3 +245,63 @@ class DartRobot:
         for differential in self._differentials:
             positions[differential.between] += positions[differential.body]
         return tuple(positions[robot.getJoint(joint).getIndexInSkeleton(0)] for joint in joints)
+
+
+_CORNER_M = 0.02
+
+
+class CornerContacts:
+    """Adds small cubes to the corners of boxes that touch one of the bodies `grounds`.
+
+    DART's detector finds one contact point between a box and a triangle of a
+    mesh, another one in each step, and keeps none: on large triangles a box
+    rocks on points that appear and vanish, and sinks by centimetres a second,
+    in the end through the ground. A cube in each corner has contact points
+    that persist. As each costs a microsecond a step, boxes get them only when
+    they touch ground.
+    """
+
+    def __init__(self, robots: Sequence[DartRobot], grounds: Sequence[Any]) -> None:
+        self._grounds = list(dict.fromkeys(grounds))
+        self._ground_nodes = {node for body in self._grounds for node in body.getShapeNodes()}
+        self._boxes = {
+            node: body
+            for robot in robots
+            for body in robot.skeleton.getBodyNodes()
+            for node in body.getShapeNodes()
+            if node.hasCollisionAspect() and isinstance(node.getShape(), dartpy.dynamics.BoxShape)
+        }
+
+    @property
+    def has_boxes_left(self) -> bool:
+        """Whether there are boxes without corner cubes."""
+        return bool(self._boxes)
+
+    def find_touching(self, result: Any) -> list[Any]:
+        """The boxes without corner cubes that touch ground in a collision result."""
+        if not any(map(result.inCollision, self._grounds)):
+            return []
+        touching = set()
+        for contact in result.getContacts():
+            frames = {contact.collisionObject1.getShapeFrame(), contact.collisionObject2.getShapeFrame()}
+            if not frames.isdisjoint(self._ground_nodes):
+                touching |= frames & self._boxes.keys()
+        # In the order of the dict: the order of a set differs between processes.
+        return [box for box in self._boxes if box in touching]
+
+    def add_to(self, boxes: Sequence[Any]) -> None:
+        """Add cubes to boxes."""
+        for box in boxes:
+            _add_corner_cubes(self._boxes.pop(box), box)
+
+
+def _add_corner_cubes(body: Any, box: Any) -> None:
+    size = np.array(box.getShape().getSize())
+    edge = min(_CORNER_M, float(size.min()) / 2)
+    cube = dartpy.dynamics.BoxShape([edge] * 3)
+    for signs in product((-1.0, 1.0), repeat=3):
+        corner = body.createShapeNode(cube)
+        to_corner = dartpy.math.Isometry3(np.eye(3), np.array(signs) * (size - edge) / 2)
+        corner.setRelativeTransform(box.getRelativeTransform().multiply(to_corner))
+        corner.createCollisionAspect()
+        corner.createDynamicsAspect().setFrictionCoeff(ROBOT_FRICTION)

@@ -7,15 +7,13 @@ from typing import Any
 import numpy as np
 
 from dune_rl.geometry.arrays import Array
-from dune_rl.physics.contact_gate import ContactGate
+from dune_rl.physics.contact_gate import ContactGate, TyreActivation
 from dune_rl.physics.dart.collision_filter import CollisionFilter
-from dune_rl.physics.dart.corners import CornerContacts
 from dune_rl.physics.dart.kinematics import DartKinematics
 from dune_rl.physics.dart.library import dartpy
-from dune_rl.physics.dart.robot import DartRobot
+from dune_rl.physics.dart.robot import CornerContacts, DartRobot
 from dune_rl.physics.dart.statics import StaticGeometry, load_shared_meshes, terrain_friction
 from dune_rl.physics.interface import SceneSpec
-from dune_rl.physics.tyre_activation import TyreActivation
 
 # Obstacles farther than this from a robot's reach have no collision shapes for its tyres.
 _TYRE_MARGIN_M = 0.5

@@ -8,10 +8,15 @@ from weakref import WeakValueDictionary
 
 from dune_rl.core.errors import PhysicsError
 from dune_rl.geometry.arrays import Array
-from dune_rl.physics.dart.files import is_open_surface, mesh_corners, write_meshes
 from dune_rl.physics.dart.library import dartpy
+from dune_rl.physics.dart.loading import (
+    ROBOT_FRICTION,
+    is_open_surface,
+    mesh_corners,
+    parse_skeleton,
+    write_meshes,
+)
 from dune_rl.physics.dart.robot import DartRobot
-from dune_rl.physics.dart.template import ROBOT_FRICTION, parse_skeleton
 from dune_rl.physics.shapes import StaticBody
 
 # Bullet's collision margin of triangles of an open surface; spheres alone are not affected by it.

@@ -1,12 +1,68 @@
-"""Compliant ground under a robot's wheels in DART."""
+"""Tyres and feet of a robot in DART: collision shapes, compliance, lateral slip and friction."""
 
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from dune_rl.physics.dart.joints import TYRE
+from dune_rl.core.constants import GRAVITY_MPS2
 from dune_rl.physics.dart.library import dartpy
+from dune_rl.physics.dart.loading import ROBOT_FRICTION, SLIP, TYRE, weld_massless_body
+from dune_rl.physics.dart.motors import SERVO_SOFTNESS
+from dune_rl.physics.robot_body import RobotBody, Tyre
+
+# The compliance of a wheel's contact has the ending `joints.TYRE`, on its joint.
+_ENDING = "/tyre shape"
+# With so many, the radius of a rover's tyre varies by 0.4 mm.
+_SPHERES = 32
+
+
+def tyre_name(tyre: Tyre) -> str:
+    """Name of a tyre's body, whether it is there or not."""
+    return f"{tyre.link}{_ENDING}"
+
+
+class TyreBodies:
+    """The tyres of the skeleton `robot`, which has none at first."""
+
+    def __init__(self, robot: Any, tyres: Sequence[Tyre]) -> None:
+        self._robot, self._tyres = robot, tyres
+        self._active: frozenset[int] = frozenset()
+
+    def set_active(self, active: frozenset[int]) -> None:
+        """Have the tyres with these indices, and no others, as bodies that are welded to the wheels.
+
+        Python must not refer to the shapes of those that are removed.
+        """
+        for index in sorted(self._active - active):
+            self._robot.getBodyNode(tyre_name(self._tyres[index])).remove()
+        for index in sorted(active - self._active):
+            self._add(self._tyres[index])
+        self._active = active
+
+    def _add(self, tyre: Tyre) -> None:
+        body = weld_massless_body(self._robot.getBodyNode(tyre.link))
+        body.setName(tyre_name(tyre))
+        node = body.createShapeNode(_shape(tyre))
+        turn, _ = Rotation.align_vectors([tyre.axis], [[0.0, 0.0, 1.0]])
+        node.setRelativeTransform(dartpy.math.Isometry3(turn.as_matrix(), tyre.centre))
+        node.createCollisionAspect()
+        node.createDynamicsAspect().setFrictionCoeff(ROBOT_FRICTION)
+
+
+def _shape(tyre: Tyre) -> Any:
+    """Collision shape of a tyre about z: the convex hull of a ring of spheres.
+
+    A cylinder has a line of possible contacts with a plane; the detector returns another point of it in each
+    step, so that the wheel sinks by a centimetre and loses a tenth of its speed.
+    """
+    edge = min(tyre.width_m / 2, tyre.radius_m)
+    angles = np.arange(_SPHERES) * 2 * np.pi / _SPHERES
+    circle = np.column_stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)])
+    centres = (tyre.radius_m - edge) * circle
+    return dartpy.dynamics.MultiSphereConvexHullShape([(edge, centre) for centre in centres])
+
 
 # Above these the load distribution over the wheels jumps: on ground of 1e7 N/m a rover is 7 % slower in
 # curves.
@@ -82,3 +138,102 @@ def _sprung_mass_kg(wheel: Any) -> float:
         wheel = wheel.getParentBodyNode()
         mass += wheel.getMass()
     return mass
+
+
+class LateralSlip:
+    """Lateral slip of wheels as motion of joints with dry friction; DART's contacts are isotropic.
+
+    A wheel's contact sticks, and the joint of `joints.add_slip_joint` slips at
+    the friction limit of the tyre along its axle, which is proportional to the
+    load in the step before. After each step the joint is set back to 0, as a
+    tyre that has slipped has no restoring force.
+
+    `feet` are the ground links' bodies in the skeleton `robot`; those without
+    such a joint are not changed. `share` is the friction along the axle over
+    that along the tread.
+    """
+
+    def __init__(self, robot: Any, feet: Sequence[Any], share: float, timestep_s: float) -> None:
+        self._robot, self._step_s = robot, timestep_s
+        joints = {joint.getName(): joint for joint in robot.getJoints()}
+        names = [foot.getParentJoint().getName() for foot in feet]
+        self._wheels = [number for number, name in enumerate(names) if name + SLIP in joints]
+        slip_joints = [joints[names[number] + SLIP] for number in self._wheels]
+        self._tyres = [joints[names[number] + TYRE].getIndexInSkeleton(0) for number in self._wheels]
+        # Access through the joints would take ten times as long.
+        self._dofs = [robot.getDof(joint.getIndexInSkeleton(0)) for joint in slip_joints]
+        self._shares = [
+            share * _lever_m(joint, feet[number])
+            for joint, number in zip(slip_joints, self._wheels, strict=True)
+        ]
+        self._limits: Sequence[float] = ()
+        self._usual_load_n = robot.getMass() * GRAVITY_MPS2 / len(feet)
+
+    def set_friction(self, friction: Sequence[float]) -> None:
+        """Set the friction coefficient of each foot along its tread, multiplied with the ground's."""
+        self._limits = [
+            share * friction[number] for share, number in zip(self._shares, self._wheels, strict=True)
+        ]
+
+    def after(self, impulses: Sequence[float]) -> None:
+        """Set the joints' friction in the next physics step by the wheels' loads in the last one.
+
+        `impulses` [N s, N m s] are the constraint impulses of all joints in that.
+        """
+        # First, because the engine has the forces on a wheel in the wheel's own frame.
+        for dof in self._dofs:
+            dof.setPosition(0.0)
+        # Sum of the forces of joint constraints and of contacts; only the latter are the load.
+        forces = self._robot.getConstraintForces().tolist()
+        for dof, limit, tyre in zip(self._dofs, self._limits, self._tyres, strict=True):
+            load = forces[tyre] - impulses[tyre] / self._step_s
+            # In the air, the limit is that of the wheel's share of the weight.
+            dof.setCoulombFriction(limit * (load if load > 0.0 else self._usual_load_n))
+
+
+def _lever_m(joint: Any, foot: Any) -> float:
+    """Factor from a force along the axle to the joint's force or torque: a sphere's radius, else 1."""
+    if joint.getType() == "PrismaticJoint":
+        return 1.0
+    (radius,) = [node.getShape().getRadius() for node in foot.getShapeNodes() if node.hasCollisionAspect()]
+    return float(radius)
+
+
+class FootContacts:
+    """Contact parameters of the W ground links of the skeleton `robot`, which `spec` describes.
+
+    `friction` is the coefficient of all of them, multiplied with the ground's, until `set` is called.
+    `slip` is None if tyres grip equally in all directions, `ground` if contacts are rigid.
+    """
+
+    def __init__(self, robot: Any, spec: RobotBody, friction: float, timestep_s: float) -> None:
+        self._robot, self._timestep_s = robot, timestep_s
+        self._feet = [robot.getBodyNode(name) for name in spec.ground_links]
+        self.ground: CompliantGround | None = None
+        self.slip: LateralSlip | None = None
+        if spec.sideways_friction_share != 1.0:
+            self.slip = LateralSlip(robot, self._feet, spec.sideways_friction_share, timestep_s)
+            self.slip.set_friction([friction] * len(self._feet))
+
+    def set(
+        self,
+        friction: Sequence[float],
+        restitution: Sequence[float],
+        stiffness: Sequence[float] | None,
+        damping: Sequence[float] | None,
+    ) -> None:
+        """Set the parameters (W each) as `PhysicsRobot.set_wheel_contacts`; both friction coefficients
+        of a contact are multiplied in `friction`.
+        """
+        for foot, foot_friction, foot_restitution in zip(self._feet, friction, restitution, strict=True):
+            for node in foot.getShapeNodes():
+                if node.hasDynamicsAspect():
+                    node.getDynamicsAspect().setFrictionCoeff(foot_friction)
+                    node.getDynamicsAspect().setRestitutionCoeff(foot_restitution)
+        if self.slip is not None:
+            self.slip.set_friction(friction)
+        if stiffness is None or damping is None:
+            return
+        if self.ground is None:
+            self.ground = CompliantGround(self._robot, self._feet, self._timestep_s, SERVO_SOFTNESS)
+        self.ground.set(stiffness, damping)
