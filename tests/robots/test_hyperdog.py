@@ -231,7 +231,7 @@ def test_its_action_of_rest_stands(engine):
     simulation = make_simulation(conf, 1, 0)
     simulation.reset()
     start = motion_of_group(simulation).position_w[0].copy()
-    rest = build_robot(conf.robot, 1).rest_action()
+    rest = build_robot(conf.robot, 1).description.actions.rest
     for _ in range(40):
         act(simulation, rest)
     np.testing.assert_allclose(motion_of_group(simulation).position_w[0], start, atol=6e-3)

@@ -50,7 +50,9 @@ def test_the_torque_follows_from_mass_grip_and_geometry(tmp_path):
     )
     # Longer than wide, it takes the whole grip.
     long = read(write_four_wheeler(tmp_path, x_m=0.5))
-    assert long.drive.max_torque_nm == pytest.approx(2 * long.mass_kg * GRAVITY_MPS2 / 4 * 0.1651, rel=0.01)
+    assert long.drive.max_torque_nm == pytest.approx(
+        2 * long.description.mass_kg * GRAVITY_MPS2 / 4 * 0.1651, rel=0.01
+    )
     half = read(write_four_wheeler(tmp_path, x_m=0.5), wheel_friction=0.8)
     assert half.drive.max_torque_nm == pytest.approx(0.8 * long.drive.max_torque_nm)
 
