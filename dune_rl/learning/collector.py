@@ -106,6 +106,8 @@ class TransitionCollector:
         self._policies = dict(policies)
         self.fill_places()
         self._policy = JointPolicy(self._policies.values())
+        most = conf.episodes_per_worker
+        self._episodes_left = float("inf") if most is None else most * conf.processes
         self._env: EnvBase | None = None
         common: dict[str, Any] = {
             "policy": self._policy,
@@ -143,7 +145,17 @@ class TransitionCollector:
             batch = self._monitor.wait(partial(next, batches, None))
             if batch is None:
                 return
+            self._episodes_left -= int(batch["next", "done"].sum())
             yield batch
+
+    @property
+    def is_worn(self) -> bool:
+        """Whether the worker processes have had their `episodes_per_worker` and are to be started anew.
+
+        What an engine does not free of the worlds that a process has left is then returned to the system, as
+        by `maxtasksperchild` of `multiprocessing.Pool`.
+        """
+        return self._env is None and self._episodes_left <= 0
 
     @torch.no_grad()
     def send(self, policies: Mapping[str, TensorDictModuleBase]) -> None:

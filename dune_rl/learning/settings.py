@@ -18,6 +18,10 @@ class CollectorConf(Settings):
     scenes: int = Field(16, ge=1, le=8192, description="scenes stepped as one batch, in each process")
     steps: int = Field(32, ge=1, description="steps of every scene between two hand-overs to the learner")
 
+    episodes_per_worker: int | None = Field(
+        None, ge=1, description="episodes after which worker processes are started anew; null: never"
+    )
+
     @property
     def processes(self) -> int:
         """Worker processes beside the learner's own."""

@@ -164,7 +164,7 @@ class Trainer:
             try:
                 while self.frames < end:
                     self._loop(collector, end, stop)
-                    if not self._warmup.groups or stop():
+                    if stop():
                         break
                     if self.frames < end:
                         collector.close()
@@ -217,7 +217,7 @@ class Trainer:
                 while self._next_save <= self.frames:
                     self._next_save += self._conf.checkpoint.every_frames
                 self._save(collector, with_experience=self._conf.checkpoint.replay)
-            if self.frames >= end or stop() or self._warmup.is_over(self.frames):
+            if self.frames >= end or stop() or collector.is_worn or self._warmup.is_over(self.frames):
                 return
 
     def _learn(self, batch: TensorDictBase) -> None:

@@ -78,3 +78,19 @@ def test_nobody_is_watched_without_processes() -> None:
     assert threading.active_count() == threads
     assert watch.wait(lambda: 3) == 3
     watch.close()
+
+
+@pytest.mark.slow
+def test_workers_are_started_anew_after_their_episodes(tmp_path: Path) -> None:
+    collector = CollectorConf(mode="sync", workers=1, scenes=4, steps=16, episodes_per_worker=8)
+    run = trainer(tmp_path / "run", small(learning_starts=0, collector=collector), total_frames=768)
+    made, processes = run._make_collector, set()
+
+    def make_collector():
+        one = made()
+        processes.update(process.pid for process in one._collector.procs)
+        return one
+
+    run._make_collector = make_collector
+    assert run.train().frames == 768
+    assert len(processes) >= 2
