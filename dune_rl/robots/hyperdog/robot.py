@@ -11,8 +11,7 @@ from dune_rl.geometry.frames import clip, wrap_angle
 from dune_rl.physics.motors import Motor
 from dune_rl.physics.robot_body import RobotBody
 from dune_rl.robots.heading import HeadingConf, HeadingController
-from dune_rl.robots.hyperdog.leg_kinematics import Leg
-from dune_rl.robots.hyperdog.trot import Trot, TrotConf
+from dune_rl.robots.hyperdog.gait import Leg, Trot, TrotConf
 from dune_rl.robots.robot import ActionRange, BodyMotion, RobotDescription
 from dune_rl.robots.settings import BatteryConf, MountsConf, RobotSettings
 

@@ -9,8 +9,7 @@ from dune_rl.robots.urdf.bodies import RigidBody, align_frames, merge_links
 from dune_rl.robots.urdf.conf import DriveKind, UrdfConf
 from dune_rl.robots.urdf.meshes import UrdfMeshes
 from dune_rl.robots.urdf.model import Joint, UrdfModel
-from dune_rl.robots.urdf.steering import Pivots, find_pivots
-from dune_rl.robots.urdf.suspension import Suspension, find_suspension
+from dune_rl.robots.urdf.steering import Pivots, Suspension, find_pivots, find_suspension
 from dune_rl.robots.urdf.unsupported import refuse_unsupported_drives
 from dune_rl.robots.urdf.wheels import (
     Wheel,
