@@ -214,8 +214,8 @@ class WheelContacts:
         self,
         friction: Sequence[float],
         restitution: Sequence[float],
-        stiffness: Sequence[float] | None,
-        damping: Sequence[float] | None,
+        stiffness: Sequence[float] | None = None,
+        damping: Sequence[float] | None = None,
     ) -> None:
         """Set the parameters, (W) each; see `PhysicsRobot.set_wheel_contacts`."""
         # PyBullet ignores negative values.
@@ -301,6 +301,13 @@ class BulletRobot:
         self.base = BaseLink(self._body)
         self.motors = BulletMotors(self._body, spec, timestep_s, measures_work=measures_work)
         self.touched = TouchedBodies(self._body, body_numbers)
+        # The rest of `PhysicsRobot` and `GatedRobot`, without a call in between.
+        self.set_start_pose, self.joint_angles = self._loader.set_start_pose, self._body.joint_angles
+        self.remove, self.release = self._body.remove, self._body.release
+        self.apply_force, self.body_state = self.base.set_force, self.base.link_state
+        self.planar_motion = self.base.planar_motion
+        self.drive_state, self.work_j = self.motors.joint_states, self.motors.take_work_j
+        self.set_wheel_contacts, self.contacts = self._wheels.set, self.touched.in_order
         # See `GatedRobot`; the position is that of the base's centre of mass. Infinite until it is measured.
         self.reach_m = math.inf
         self.base_mass_kg = 0.0
@@ -310,9 +317,6 @@ class BulletRobot:
         self._loader.set_variation(variation)
         # The centre of mass, which the reach is about, may move.
         self.reach_m = math.inf
-
-    def set_start_pose(self, position_w: Sequence[float], quaternion: Sequence[float]) -> None:
-        self._loader.set_start_pose(position_w, quaternion)
 
     def load(self) -> int:
         """Load the robot at its start pose, without tyres, and return PyBullet's handle."""
@@ -333,14 +337,6 @@ class BulletRobot:
         self._wheels.apply_again()
         return handle
 
-    def remove(self) -> None:
-        """Remove the robot from the scene."""
-        self._body.remove()
-
-    def release(self) -> None:
-        """Drop the handle after the client was disconnected."""
-        self._body.release()
-
     def begin_step(self, count: int) -> None:
         """Forget what was touched, and pass the commands to the motors for `count` physics steps."""
         self.touched.clear()
@@ -359,34 +355,3 @@ class BulletRobot:
 
     def set_command(self, commands: Sequence[float]) -> None:
         self.motors.commands = commands
-
-    def apply_force(self, force_w: Sequence[float]) -> None:
-        self.base.set_force(force_w)
-
-    def set_wheel_contacts(
-        self,
-        friction: Sequence[float],
-        restitution: Sequence[float],
-        stiffness: Sequence[float] | None = None,
-        damping: Sequence[float] | None = None,
-    ) -> None:
-        self._wheels.set(friction, restitution, stiffness, damping)
-
-    def planar_motion(self) -> tuple[float, float, float]:
-        """See `GatedRobot`."""
-        return self.base.planar_motion()
-
-    def body_state(self) -> tuple[float, ...]:
-        return self.base.link_state()
-
-    def drive_state(self) -> tuple[float, ...]:
-        return self.motors.joint_states()
-
-    def work_j(self) -> float:
-        return self.motors.take_work_j()
-
-    def joint_angles(self, joints: Sequence[str]) -> tuple[float, ...]:
-        return self._body.joint_angles(joints)
-
-    def contacts(self) -> list[int]:
-        return self.touched.in_order()

@@ -97,7 +97,7 @@ class DartRobot:
 
     So are the objects that act on it: `base`, `tyres`, motors, couplings and the contacts of its feet.
 
-    `terrain_friction` is the ground's coefficient, which holds until `set_foot_contacts` is called.
+    `terrain_friction` is the ground's coefficient, which holds until other contacts are set.
     `has_spherical_feet` is whether all collision shapes of ground links are spheres, `has_spherical_hull`
     whether all others are. For `reach_m` see `GatedRobot`.
     """
@@ -207,16 +207,6 @@ class DartRobot:
         """The force set by `apply_force` since the last call, which is removed; None if there is none."""
         force, self._force = self._force, None
         return force
-
-    def set_foot_contacts(
-        self,
-        friction: Sequence[float],
-        restitution: Sequence[float],
-        stiffness: Sequence[float] | None,
-        damping: Sequence[float] | None,
-    ) -> None:
-        """Set the contact parameters of each ground link; see `FootContacts.set`."""
-        self._feet.set(friction, restitution, stiffness, damping)
 
     @property
     def base_mass_kg(self) -> float:

@@ -244,7 +244,7 @@ class _SceneRobot(DartRobot):
     ) -> None:
         ground = self._static_geometry.use_foot_friction(self._index)
         coefficients = [coefficient * ground for coefficient in friction]
-        self.set_foot_contacts(coefficients, restitution, stiffness, damping)
+        self._feet.set(coefficients, restitution, stiffness, damping)
 
     def record_contacts(self, result: Any) -> None:
         """Add what the robot touches in a collision result to `contacts`."""
