@@ -45,6 +45,7 @@ __all__ = [
     "register_behaviour",
     "register_body",
     "register_encoder",
+    "register_engine",
     "register_metric",
     "register_motion_model",
     "register_randomisation",
@@ -219,6 +220,7 @@ def sensor_bounds(
 
 register_world = RegisterDecorator("dune_rl.worlds.registry:WORLDS", then=register_env)
 register_robot = RegisterDecorator("dune_rl.robots.registry:ROBOTS")
+register_engine = RegisterDecorator("dune_rl.physics.interface:ENGINES")
 register_body = RegisterDecorator("dune_rl.bodies.registry:BODIES")
 register_sensor = RegisterDecorator("dune_rl.sensors.registry:SENSORS")
 register_behaviour = RegisterDecorator("dune_rl.behaviours.registry:BEHAVIOURS")

@@ -51,7 +51,7 @@ def _drop_odometry_of_legs(conf: ViewConf) -> ViewConf:
         for group in conf.groups
         if group.sensors == conf.sensors and isinstance(group.body, RobotSettings)
     ]
-    if all(robot.wheels is not None for robot in robots):
+    if all(robot.description.wheels is not None for robot in robots):
         return conf
     sensors = {name: each for name, each in conf.sensors.items() if each.sensor != "odometry"}
     return conf.model_copy(update={"sensors": sensors})

@@ -25,7 +25,7 @@ from dune_rl.env.pettingzoo import ParallelDuneEnv
 from dune_rl.env.requests import EpisodePlan
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.env.window import RenderMode
-from dune_rl.physics.interface import Engine, PhysicsScene, SceneSpec
+from dune_rl.physics.interface import scene_maker
 from dune_rl.robots.registry import ROBOTS
 from dune_rl.robots.robot import Robot
 from dune_rl.robots.settings import RobotSettings
@@ -72,7 +72,7 @@ def make_simulation(
     return VectorSimulation(
         world=make_world(conf.world),
         groups=groups,
-        make_scene=scene_class(conf.physics.backend),
+        make_scene=scene_maker(conf.physics.backend),
         physics=conf.physics,
         weather=conf.weather,
         randomizer=DomainRandomizer(conf.world, conf.weather, conf.randomisation, make_world, prepare, plan),
@@ -104,20 +104,6 @@ def group_setups(conf: EnvConf) -> list[GroupSetup]:
         )
         for group in conf.groups
     ]
-
-
-def scene_class(backend: Engine) -> Callable[[SceneSpec], PhysicsScene]:
-    """The scene class of a physics engine; raises `PhysicsError` if the engine is not installed."""
-    # Imported on demand: DART may not be installed.
-    match backend:
-        case "bullet":
-            from dune_rl.physics.bullet.scene import BulletScene
-
-            return BulletScene
-        case "dart":
-            from dune_rl.physics.dart.scene import DartScene
-
-            return DartScene
 
 
 def build_robot(conf: RobotSettings, num_robots: int) -> Robot:

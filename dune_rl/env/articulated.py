@@ -31,7 +31,6 @@ from dune_rl.worlds.world import World
 _STATE_LIMITS = np.repeat([1e5, 1.01, 50.0, 200.0], [3, 4, 3, 3])
 
 # Of robots that do not say how they turn.
-_YAW_RATE_RADPS, _HEADING_GAIN_PER_S = 1.0, 2.0
 
 
 class ArticulatedBody:
@@ -52,7 +51,7 @@ class ArticulatedBody:
         measures_work: bool = False,
     ) -> None:
         self.robot, self.first = robot, first
-        self.footprint_radius_m = robot.footprint_radius_m
+        self.footprint_radius_m = robot.description.footprint_radius_m
         rows = len(worlds) * count
         self.count = count
         self.traction = Traction(robot, physics, rows)
@@ -92,13 +91,13 @@ class ArticulatedBody:
 
     def vehicle(self) -> Unicycle:
         """The model of the robot for behaviours that output a speed and a heading."""
-        robot, (low, high) = self.robot, self.robot.action_bounds()
+        robot, (low, high) = self.robot.description, self.action_bounds()
         steering = None if robot.wheels is None else robot.wheels.steering
         return Unicycle(
             float(np.float32(low[0])),
             float(np.float32(high[0])),
-            getattr(robot, "max_yaw_rate_radps", _YAW_RATE_RADPS),
-            getattr(robot, "heading_gain_per_s", _HEADING_GAIN_PER_S),
+            robot.max_yaw_rate_radps,
+            robot.heading_gain_per_s,
             robot.length_m,
             robot.width_m,
             robot.footprint_radius_m,
@@ -177,7 +176,8 @@ class ArticulatedBody:
     def place(self, scene: int, poses: Array) -> None:
         """Set the start poses of a scene's robots to `poses` (G, 4: x, y, z, yaw), standing on the ground."""
         world, first = self._worlds.worlds[scene], scene * self.count
-        placed = [standing_pose(world, self.robot, x, y, yaw) for x, y, _, yaw in poses.tolist()]
+        size = self.robot.description
+        placed = [standing_pose(world, size, x, y, yaw) for x, y, _, yaw in poses.tolist()]
         for engine, (position, quaternion) in zip(
             self.engines[first : first + self.count], placed, strict=True
         ):

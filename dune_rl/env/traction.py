@@ -14,7 +14,7 @@ from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.geometry.shared_per_scene import Rows, agent_rows
 from dune_rl.physics.interface import PhysicsConf, PhysicsRobot
-from dune_rl.robots.robot import Robot
+from dune_rl.robots.robot import Robot, RobotDescription
 from dune_rl.state.state import Motion
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.grass import Grass
@@ -197,7 +197,9 @@ def _table(surfaces: tuple[Surface, ...], wheel: WheelLoad, sinkage: bool) -> tu
 _ALL = slice(None)
 
 
-def drag_forces(sites: BatchedWorlds, motion: Motion, robot: Robot, count: int = 1) -> Array | None:
+def drag_forces(
+    sites: BatchedWorlds, motion: Motion, robot: RobotDescription, count: int = 1
+) -> Array | None:
     """Force [N] of the grass on each robot, (M * `count`, 3), world frame; None where no grass grows."""
     groups = sites.worlds.groups
     if all(world.grass is None for world, _ in groups):
@@ -210,7 +212,7 @@ def drag_forces(sites: BatchedWorlds, motion: Motion, robot: Robot, count: int =
     return force
 
 
-def grass_force(grass: Grass, motion: Motion, robot: Robot, rows: Rows = _ALL) -> Array:
+def grass_force(grass: Grass, motion: Motion, robot: RobotDescription, rows: Rows = _ALL) -> Array:
     """Force [N] on each robot of `rows`, world frame: against its velocity, and proportional to it.
 
     It is also proportional to the density of the grass at the robot's centre and

@@ -15,13 +15,14 @@ from dune_rl.env.randomisation import RANDOMISATIONS
 from dune_rl.learning.networks.registry import ENCODERS
 from dune_rl.learning.registry import ALGORITHMS
 from dune_rl.metrics.registry import METRICS
+from dune_rl.physics.interface import ENGINES
 from dune_rl.robots.registry import ROBOTS
 from dune_rl.sensors.registry import SENSORS
 from dune_rl.tasks.registry import REWARDS, START_SOURCES, TERMINATIONS
 from dune_rl.worlds.registry import WORLDS
 
 REGISTRIES: tuple[Registry[Any], ...] = (
-    *(WORLDS, ROBOTS, SENSORS, BEHAVIOURS, REWARDS, TERMINATIONS, METRICS, RANDOMISATIONS),
+    *(WORLDS, ROBOTS, ENGINES, SENSORS, BEHAVIOURS, REWARDS, TERMINATIONS, METRICS, RANDOMISATIONS),
     *(ENCODERS, ALGORITHMS),
     *(START_SOURCES, MOTION_MODELS),
 )

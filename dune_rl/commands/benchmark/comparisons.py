@@ -13,7 +13,7 @@ from dune_rl.config.commands import BenchmarkConf
 from dune_rl.config.schema import EnvConf
 from dune_rl.config.shorthands import replace_actors
 from dune_rl.env.simulation import VectorSimulation
-from dune_rl.physics.interface import ENGINES
+from dune_rl.physics.interface import OWN_ENGINES
 
 _WARM_UP = 50
 _ROBOTS, _ACTORS, _POINTS = 4, 20, 100_000
@@ -120,7 +120,7 @@ def measure_engines(conf: BenchmarkConf) -> dict[str, Any]:
     """Physics and control steps per second of each engine and its overhead, in alternating rounds."""
     torch.set_num_threads(1)
     simulations, cores = {}, {}
-    for engine in ENGINES:
+    for engine in OWN_ENGINES:
         data = conf.model_dump()
         data["physics"] |= {"backend": engine}
         simulations[engine] = make_simulation(BenchmarkConf.model_validate(data), conf.scenes, conf.seed)
@@ -128,9 +128,9 @@ def measure_engines(conf: BenchmarkConf) -> dict[str, Any]:
         cores[engine] = core_stepper(simulations[engine])
         time_calls(cores[engine], _WARM_UP)
         time_calls(simulations[engine].step_passive, _WARM_UP)
-    core: dict[str, list[float]] = {engine: [] for engine in ENGINES}
-    raw: dict[str, list[float]] = {engine: [] for engine in ENGINES}
-    resets: dict[str, list[float]] = {engine: [] for engine in ENGINES}
+    core: dict[str, list[float]] = {engine: [] for engine in OWN_ENGINES}
+    raw: dict[str, list[float]] = {engine: [] for engine in OWN_ENGINES}
+    resets: dict[str, list[float]] = {engine: [] for engine in OWN_ENGINES}
     mask = np.ones(conf.scenes, bool)
     for _ in range(conf.rounds):
         for engine, simulation in simulations.items():

@@ -88,7 +88,7 @@ def plan_of_set(conf: EnvConf, episode_set: EpisodeSet) -> EpisodePlan:
 
 def footprint_radius_m(conf: EnvConf) -> float:
     """Radius of the footprint of the robot of `conf` [m]."""
-    return build_robot(conf.robot, 1).footprint_radius_m
+    return build_robot(conf.robot, 1).description.footprint_radius_m
 
 
 def _check_footprint(conf: EnvConf, episode_set: EpisodeSet) -> None:
