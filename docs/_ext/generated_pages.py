@@ -167,6 +167,7 @@ def _term_comments(section: str, file: str, common: Mapping[str, str]) -> Callab
 
 
 _BODY_MEANINGS = {
+    "motion": "motion model: its name, or a section with its settings",
     "speed_mps": "top speed [m/s]",
     "max_turn_radps": "how fast it turns [rad/s]",
     "radius_m": "of the capsule that robots can hit [m]",
