@@ -116,6 +116,7 @@ def group_settings() -> Section:
     group.sections = []
     for name, model in (("body", PersonConf), ("path", PathConf)):
         own = {key.removeprefix(f"{name}."): text for key, text in comments.items()}
+        own.setdefault("motion", _BODY_MEANINGS["motion"])
         group.sections.append(read_section(model, f"agents.NAME.{name}", own, without=frozenset({"name"})))
     return group
 
