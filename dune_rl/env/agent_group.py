@@ -20,7 +20,7 @@ from dune_rl.env.presence import PresenceSchedule
 from dune_rl.env.starts.region import Spawners
 from dune_rl.env.starts.source import StartSource, Taken
 from dune_rl.geometry.arrays import Array, Counts, Flags, Floats
-from dune_rl.metrics.episode import MetricsConf
+from dune_rl.metrics.episode import MetricsConf, MetricSet
 from dune_rl.robots.robot import Robot
 from dune_rl.sensors.sensor import Bounds, Reading
 from dune_rl.sensors.settings import SensorSettings
@@ -381,6 +381,19 @@ class AgentGroup:
         return Placement(x, y, yaw, goal_x, goal_y), self.description.reach_m
 
     # -- observations and metrics -----------------------------------------------------------------
+
+    def add_metrics(self, conf: MetricsConf, now: GroupState | None) -> MetricSet:
+        """Measure `conf` of the episodes as well, from `now` on or, without it, from the next ones on.
+
+        Equal settings share one set. Raises ConfigError without a task.
+        """
+        if self.task is None:
+            raise ConfigError(f"{self.name} has no task, so it has no episodes to measure: give it one")
+        found = self.measured.add(conf, now)
+        self.body.reads_joints |= found.needs_joints
+        if found.needs_scan:
+            self.start_scans()
+        return found
 
     def observe(self) -> dict[str, Reading]:
         """Observations by sensor name, each (N, ...). Repeated calls return the same values."""

@@ -1,16 +1,12 @@
 """What is measured of the episodes of an agent group: its own metrics, and sets that transforms add."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from dune_rl.core.errors import ConfigError
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.metrics.episode import MetricsConf, MetricSet
 from dune_rl.state.state import GroupState, State
-
-if TYPE_CHECKING:
-    from dune_rl.env.agent_group import AgentGroup
 
 
 class GroupMetrics:
@@ -70,17 +66,3 @@ class GroupMetrics:
 
     def _sets(self) -> list[MetricSet]:
         return [*([] if self.own is None else [self.own]), *self._added.values()]
-
-
-def add_metrics(group: "AgentGroup", conf: MetricsConf, state: State | None) -> MetricSet:
-    """Measure `conf` of a group's episodes as well, from `state` on or, without one, from the next ones on.
-
-    Equal settings share one set. Raises ConfigError where the group has no task.
-    """
-    if group.task is None:
-        raise ConfigError(f"{group.name} has no task, so it has no episodes to measure: give it one")
-    found = group.measured.add(conf, None if state is None else state.groups[group.name])
-    group.body.reads_joints |= found.needs_joints
-    if found.needs_scan:
-        group.start_scans()
-    return found

@@ -12,7 +12,6 @@ from dune_rl.env.arguments import check_whole, group_actions
 from dune_rl.env.assembly import add_sensors, build_groups
 from dune_rl.env.body import SceneBodies
 from dune_rl.env.domain_randomizer import DomainRandomizer
-from dune_rl.env.group_metrics import add_metrics
 from dune_rl.env.replay import ActionLog, RestoreError, check_arrival, state_digest
 from dune_rl.env.requests import EpisodePlan, EpisodeRequest, plain_request, request_from_plain
 from dune_rl.env.scene_manager import MakeScene, SceneManager, scene_rows
@@ -308,7 +307,8 @@ class VectorSimulation:
 
     def add_metrics(self, group: str, conf: MetricsConf) -> MetricSet:
         """Measure `conf` of a group's episodes as well, from now on; equal settings share one set."""
-        return add_metrics(self.group(group), conf, None if self._refusal else self.state)
+        found = self.group(group)
+        return found.add_metrics(conf, None if self._refusal else self.state.groups[found.name])
 
     def joint_angles(self, group: str, row: int) -> dict[str, float]:
         """Joint angles [rad] by name of a group's robot in `row`; empty for a kinematic body."""
