@@ -1,34 +1,26 @@
-"""The study of actors: its policies are those of the commands that its page gives."""
+"""The study of actors: its policies are those of the commands in `train.sh`."""
 
-import csv
 import shlex
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
-from documents import commands
 
-from dune_rl.config.compose import compose
+from dune_rl.config.compose import compose, compose_resumed
 from dune_rl.learning.checkpoint import read_checkpoint_file
-from dune_rl.learning.sac.settings import SacConf
 
 STUDY = Path(__file__).parents[2] / "experiments" / "actors"
 NAMES = ("walkers", "adversaries", "both", "longer", "social", "hardened", "guarded", "direct")
-PAGE = STUDY / "README.md"
-ROBOTS = ("walkers", "longer", "both", "social", "hardened", "guarded", "direct")
-# Where those were tested that came later.
-LATER = {"hardened": "cross_play_hardened", "guarded": "cross_play_hardened", "direct": "cross_play_direct"}
-POPULATIONS = ("walkers", "two_social_force", "adversaries_1", "adversaries_2")
 # What the machine decides.
 _NOT_SET = ("device",)
 
 
 def train_words() -> dict[str, list[str]]:
-    """The words of the training commands of the page, by the name of their run, without its seed."""
+    """The words of the training commands of the study, by the name of their run, without its seed."""
     found = {}
-    for line in commands(STUDY / "README.md"):
-        words = shlex.split(line)
+    for line in (STUDY / "train.sh").read_text().splitlines():
+        words = shlex.split(line, comments=True)
         if "dune_rl.train" in words:
             folder = next(word for word in words if word.startswith("run_dir="))
             name = folder.removeprefix("run_dir=runs/").removesuffix("_1")
@@ -36,7 +28,7 @@ def train_words() -> dict[str, list[str]]:
     return found
 
 
-def test_the_page_gives_the_command_of_every_policy() -> None:
+def test_every_policy_has_its_command() -> None:
     assert tuple(train_words()) == NAMES
     folders = {path.parent.name for path in STUDY.glob("*/policy.pt")}
     assert folders == {f"{name}_{seed}" for name in NAMES for seed in (1, 2)}
@@ -56,35 +48,10 @@ def test_a_policy_was_trained_with_the_settings_of_its_command(
     used = read_checkpoint_file(STUDY / f"{name}_{seed}" / "policy.pt", "policy")["config"]
     for config in (saved, used):
         # Settings that came later are at their defaults.
-        found = SacConf.model_validate(config["learning"]).model_dump(mode="json")
+        found = compose_resumed([], (), config).model_dump(mode="json")
         # `auto` is stored as what it was.
-        assert found.pop("precision") in ("float32", "bfloat16")
+        assert found["learning"].pop("precision") in ("float32", "bfloat16")
         learning = {key: value for key, value in expected["learning"].items() if key != "precision"}
-        assert found == learning
+        assert found["learning"] == learning
         rest = {key: value for key, value in expected.items() if key not in ("learning", *_NOT_SET)}
-        assert {key: config[key] for key in rest} == rest
-
-
-def test_the_page_counts_how_episodes_end() -> None:
-    """Its table of ends is that of the episodes' file: left the world / stuck or flipped / out of time."""
-    lines = [line for line in PAGE.read_text().splitlines() if line[:1] == "|" and line.count(" / ") >= 6]
-    robots = [f"{name}_{seed}" for seed in (1, 2) for name in ROBOTS]
-    assert [line.split("|")[1].strip() for line in lines] == robots
-    for line, robot in zip(lines, robots, strict=True):
-        folder = STUDY / LATER.get(robot[:-2], "cross_play")
-        ends = [_ends(folder / population, robot) for population in POPULATIONS]
-        assert line == f"| {robot} | {' | '.join(ends)} |"
-
-
-def _ends(folder: Path, robot: str) -> str:
-    if not folder.is_dir():
-        return "not run"
-    with (folder / "episodes.csv").open(encoding="utf-8", newline="") as file:
-        rows = [row for row in csv.DictReader(file) if row["policy"] == robot]
-    failed = [row for row in rows if not float(row["reached"] or 0)]
-    left = [row for row in failed if float(row["out_of_world"] or 0)]
-    stuck = [row for row in failed if row not in left and (float(row["stuck"]) or float(row["flipped"]))]
-    late = [row for row in failed if float(row["timeout"] or 0)]
-    counts = [len(left), len(stuck), len(late)]
-    assert len(rows) == 200 and sum(counts) == len(failed)
-    return " / ".join(map(str, counts))
+        assert {key: found[key] for key in rest} == rest
