@@ -114,7 +114,9 @@ def _plain(group: ResolvedGroup, weights: str) -> dict[str, Any]:
     values = {name: getattr(group, name) for name in AgentGroupConf.model_fields}
     values |= {
         "controller": {"checkpoint": weights} if group.is_external else group.controller,
-        "sensors": group.sensors or NONE,
+        "sensors": NONE
+        if not group.sensors
+        else {name: entry.model_dump(mode="json") for name, entry in group.sensors.items()},
         # Its goals, and no rewards, which nobody reads.
         "task": NONE if group.task is None else roaming_task(group.task),
         "metrics": NONE,

@@ -48,36 +48,28 @@ def test_studies_name_no_folder_of_the_machine_they_ran_on() -> None:
 
 def test_the_table_of_memory_is_that_of_its_files() -> None:
     folder = EXPERIMENTS / "memory"
-    before, after = (
-        list(csv.reader((folder / name).read_text().splitlines()))[1:] for name in ("before.csv", "after.csv")
-    )
     text = (folder / "README.md").read_text()
-    for (part, old), (same, new) in zip(before, after, strict=True):
-        assert part == same
-        assert f"| {part} | {old} | {new} |" in text
-    assert f"hold {after[-1][1]} MiB" in SPEED_PAGE.read_text()
+    for engine in ("bullet", "dart"):
+        parts = dict(list(csv.reader((folder / f"scenes_{engine}.csv").read_text().splitlines()))[1:])
+        libraries = sum(int(parts[part]) for part in parts if part == "Python" or part.startswith("import "))
+        assert f"| {engine} | {libraries} | {parts['together']} |" in text
+        if engine == "bullet":
+            assert (
+                f"hold {parts['together']} MiB, of which {libraries} are libraries" in SPEED_PAGE.read_text()
+            )
 
 
-def test_the_table_of_memory_of_imported_worlds_is_that_of_its_files() -> None:
+def test_the_table_of_new_worlds_is_that_of_its_file() -> None:
     folder = EXPERIMENTS / "memory"
-    files = [f"{world}_{when}.csv" for world in ("marsyard", "agriculture") for when in ("before", "after")]
-    tables = [dict(csv.reader((folder / name).read_text().splitlines()[1:])) for name in files]
     text = (folder / "README.md").read_text()
-    shown = ("importing", "16 scenes", "reset and 200 steps", "together", "seconds to make 16 scenes")
-    for part in shown:
-        assert f"| {part} | {' | '.join(table[part] for table in tables)} |" in text
-
-
-def test_the_table_of_new_worlds_is_that_of_its_runs() -> None:
-    folder = EXPERIMENTS / "memory"
-    runs = [json.loads(line) for line in (folder / "new_worlds.jsonl").read_text().splitlines()]
-    text = (folder / "README.md").read_text()
-    for run in runs:
-        assert run["worlds"] == 500 and run["new_worlds_memory_ratio"] <= 1.02
-        figures = (run[f"memory_mib_{part}"] for part in ("after_50_worlds", "first_half", "second_half"))
-        cells = " | ".join(f"{figure:.0f}" for figure in figures)
-        assert f"| {run['engine']} | {cells} | {run['new_worlds_memory_ratio']:.2f} |" in text
-    assert {run["engine"] for run in runs} == {"bullet", "dart"}
+    measured: dict[tuple[str, str], list[str]] = {}
+    for row in csv.DictReader((folder / "worlds.csv").read_text().splitlines()):
+        if row["worlds entered"] in ("48", "144", "240", "336") and "removed" not in row["variant"]:
+            measured.setdefault((row["engine"], row["variant"]), []).append(row["resident_mib"])
+    for (engine, variant), figures in measured.items():
+        cells = " | ".join(figures + ["-"] * (4 - len(figures)))
+        assert f"| {engine}, {variant} | {cells} |" in text
+    assert {engine for engine, _ in measured} == {"bullet", "dart"}
 
 
 def test_the_table_of_inspection_is_that_of_its_episodes() -> None:

@@ -60,7 +60,7 @@ def test_a_package_that_is_installed_later_is_found(tmp_path: Path) -> None:
 
 
 def test_settings_that_are_changed_do_not_change_the_next_ones() -> None:
-    agents = {"rover": {"body": "leo_rover", "sensors": "walker"}}
+    agents = {"rover": {"body": "leo_rover", "sensors": {"lidar": {"n_beams": 64}}}}
     one = compose_environment("inspection", (), {"agents": agents})
     expected = one.model_dump()
     dumped = one.model_dump()

@@ -136,7 +136,8 @@ def test_where_one_diverges_the_episode_ends_for_all(
 
 
 def robots_of(names: list[str]) -> list[Robot]:
-    return [build_robot(conf, 1) for conf in compose_environment("flat", (), {"robots": names}).robots]
+    groups = compose_environment("flat", (), {"robots": names, "actors": "none"}).groups
+    return [build_robot(group.body, 1) for group in groups for _ in range(group.count)]
 
 
 @every_backend
@@ -353,8 +354,8 @@ def test_robots_by_name_with_values_that_differ() -> None:
         "flat", (), {"robots": ["leo_rover", {"name": "rover_zero", "wheel_friction": 0.8}]}
     )
     words = compose_environment("flat", ["robots=[leo_rover,{name: rover_zero, wheel_friction: 0.8}]"])
-    assert conf.robots == words.robots
-    assert conf.robots[1] == RoverZeroConf(wheel_friction=0.8)
+    assert conf.groups == words.groups
+    assert conf.groups[1].body == RoverZeroConf(wheel_friction=0.8)
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,8 @@
-"""Memory of a process with 16 scenes, part by part, and the time that making them takes.
+"""Measures the memory of a process with 16 scenes, part by part, and the time that making them takes.
 
-`python tests/helpers/measure_memory.py OUT.csv` writes how many MiB become resident with each part of a
-process with inspection scenes; `... OUT.csv WORLD FILE` does so for an imported world (`mesh` or `sdf`),
-after it has been imported once. It runs on older code too (with `PYTHONPATH` on that checkout).
+`python tests/helpers/measure_memory.py OUT.csv [WORD ...]` writes how many MiB become resident with each part
+of a process with inspection scenes; words such as `physics=dart` or `world=mesh world.path=FILE` change them. It
+runs on older code too (with `PYTHONPATH` on that checkout).
 """
 
 import csv
@@ -47,14 +47,13 @@ def main() -> None:
 
     torch.set_num_threads(1)
     warnings.simplefilter("ignore")
-    world, *file = sys.argv[2:] or ["inspection"]
-    overrides = [f"world.path={path}" for path in file]
-    if file:
+    words = sys.argv[2:]
+    if any(word.startswith("world.path=") for word in words):
         # Once, so that what follows is the cost of the scenes.
-        dune_rl.make(world, 1, overrides=overrides).close()
-        note("importing")
+        dune_rl.make("inspection", 1, overrides=words).close()
+        note("importing a world")
     start = time.perf_counter()
-    env = dune_rl.make(world, 16, seed=0, overrides=overrides)
+    env = dune_rl.make("inspection", 16, seed=0, overrides=words)
     seconds = time.perf_counter() - start
     note("16 scenes")
     now = env.reset()
