@@ -1,8 +1,8 @@
 """Measures the memory of a process with 16 scenes, part by part, and the time that making them takes.
 
 `python tests/helpers/measure_memory.py OUT.csv [WORD ...]` writes how many MiB become resident with each part
-of a process with inspection scenes; words such as `physics=dart` or `world=mesh world.path=FILE` change them. It
-runs on older code too (with `PYTHONPATH` on that checkout).
+of a process with inspection scenes; words such as `physics=dart` or `world=mesh world.path=FILE` change them.
+It runs on older code too (with `PYTHONPATH` on that checkout).
 """
 
 import csv
