@@ -39,8 +39,8 @@ def test_clearance_is_the_distance_of_the_hulls(robots: list[str]) -> None:
     np.testing.assert_array_equal(found[0], found[1])
     between = distance(simulation)
     bodies = [group.body.robot for group in groups for _ in range(group.count)]
-    widths = sum(body.width_m for body in bodies) / 2
-    reach = sum(np.hypot(body.length_m, body.width_m) for body in bodies) / 2
+    widths = sum(body.description.width_m for body in bodies) / 2
+    reach = sum(np.hypot(body.description.length_m, body.description.width_m) for body in bodies) / 2
     assert (found[0] <= between - widths + 1e-6).all()
     assert (found[0] >= between - reach - 1e-6).all()
     simulation.close()

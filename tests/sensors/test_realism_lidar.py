@@ -1,5 +1,7 @@
 """Faults of single beams: noise, drop-out, and light that does not come back."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from pydantic import ValidationError
@@ -215,14 +217,13 @@ def test_settings_out_of_range_are_refused(settings, message):
 
 @pytest.mark.slow
 def test_rings_have_the_same_faults():
-    settings = {
+    settings: dict[str, Any] = {
         "enabled": ["lidar_3d"],
         "lidar_3d": {"n_rings": 4, "n_beams": 64, "outputs": ["range", "segmentation"]},
     }
     plain = started_simulation("inspection", 2, sensors=settings).observe()
-    faulty = started_simulation(
-        "inspection", 2, sensors=settings | {"realism": {"lidar_3d": {"noise_m": 0.05, "dropout": 0.3}}}
-    ).observe()
+    settings["lidar_3d"]["realism"] = {"noise_m": 0.05, "dropout": 0.3}
+    faulty = started_simulation("inspection", 2, sensors=settings).observe()
     true, seen = plain["lidar_3d_range"], faulty["lidar_3d_range"]
     returned = true < 30.0
     lost = returned & (seen >= 30.0)

@@ -184,10 +184,10 @@ def test_endings_are_described(ended: list[str], collisions: int, text: str) -> 
 @pytest.mark.slow
 def test_a_map_names_the_actors_that_have_no_room() -> None:
     cars = "+actors.traffic={body: car, controller: go_to_goal, count: 20}"
-    with pytest.raises(WorldError, match=r"^traffic \(count 20\): actors\.traffic\.task\.spawn\.region"):
+    with pytest.raises(WorldError, match=r"^traffic \(count 20\): agents\.traffic\.task\.spawn\.region"):
         maps.map_content(conf_of("+world=flat", cars), [])
     far = "+actors.traffic.task.spawn.min_goal_distance_m=15"
     with pytest.raises(
-        WorldError, match=r"^traffic \(car\): actors\.traffic\.task\.spawn\.min_goal_distance_m=15"
+        WorldError, match=r"^traffic \(car\): agents\.traffic\.task\.spawn\.min_goal_distance_m=15"
     ):
         maps.map_content(conf_of("+world=flat", cars, far), [])
