@@ -87,7 +87,7 @@ class GroupStep:
     """Rewards and ends of a group's agents after a control step, each (N,).
 
     `terminated` and `truncated` are the ends of each agent's own episode: they are set from the step in
-    which it ends until its scene is reset.
+    which it ends until its scene is reset, or the agent comes into its scene.
     """
 
     reward: Floats
@@ -98,7 +98,8 @@ class GroupStep:
 class AgentGroup:
     """The agents of one group in M scenes, rows scene after scene: N = M * G.
 
-    A control step enters it once for each phase: `leave`, `command`, `read`, `evaluate`, `sense`.
+    A control step enters it once for each phase: `leave`, `command`, `body.read`, `measure_goals` and
+    `find_endings` (for the state), `evaluate`, `sense`.
 
     An agent that is done before its scene's episode ends stays in the scene: it stands still, its rewards
     are 0, and its metrics do not change. Where agents come and go, `presence` says when; absent agents count

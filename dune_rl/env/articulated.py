@@ -199,17 +199,19 @@ class ArticulatedBody:
         self._placed.clear()
         engines = self.engines
         reads_joints = self._reads_joints
+        # States that were handed out keep theirs.
         states = self._states.copy()
+        drives = None if self._drives is None else self._drives.copy()
         for row in np.flatnonzero(mask).tolist():
             if self._measures_work:
                 engines[row].work_j()
             states[row] = engines[row].body_state()
             if reads_joints:
                 drive = engines[row].drive_state()
-                if self._drives is None:
-                    self._drives = np.zeros((len(states), len(drive)))
-                self._drives[row] = drive
-        self._states = states
+                if drives is None:
+                    drives = np.zeros((len(states), len(drive)))
+                drives[row] = drive
+        self._states, self._drives = states, drives
         before = self.motion
         acceleration_b = np.where(mask[:, None], 0.0, before.acceleration_b)
         self.motion = self._derive(before.diverged & ~mask, acceleration_b)

@@ -76,3 +76,15 @@ def test_no_array_of_a_state_can_be_written(settings: dict[str, str]) -> None:
         assert len(found) > 30
         assert not any(array.flags.writeable for array in found)
     simulation.close()
+
+
+def test_a_state_keeps_its_joints_when_a_scene_is_reset() -> None:
+    simulation = started_simulation(num_scenes=2, sensors={"encoders": {}})
+    for _ in range(5):
+        act(simulation, 0.5)
+    joints = simulation.state.groups["rover"].motion.joints
+    assert joints is not None
+    before = joints.angle.copy()
+    simulation.reset(np.array([True, False]))
+    np.testing.assert_array_equal(joints.angle, before)
+    simulation.close()

@@ -15,7 +15,7 @@ class Follower(Protocol):
 
 
 class FollowPath:
-    """Moves agents along their paths. Actions are poses (N, 4), for the motion model `prescribed`."""
+    """Moves agents along their paths. Actions are poses (N, 4), for `KinematicBody(is_prescribed=True)`."""
 
     def __init__(self, follower: Follower) -> None:
         self._follower = follower
