@@ -156,8 +156,8 @@ class AgentGroup:
         self.suite, self._make_scanner = suite, make_scanner
         if self.needs_scan:
             self.start_scans()
-        by_sensors = suite is not None and suite.needs_joints
-        self.body.reads_joints = by_sensors or self.measured.needs_joints
+        readers = (suite, self.task, self.measured)
+        self.body.reads_joints = any(reader is not None and reader.needs_joints for reader in readers)
         if self.setup.controller is not None:
             self.controller = self.setup.controller(self)
 

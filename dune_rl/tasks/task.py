@@ -111,7 +111,8 @@ class Task:
 
     Rewards read the flags of `end` from the state (`GroupState.endings`).
 
-    `needs_scan` tells whether a term reads `GroupState.nearest_return`.
+    `needs_scan` tells whether a term reads `GroupState.nearest_return`, `needs_joints` whether one reads
+    `motion.joints`.
     `reward_sums` (N, T) are the weighted sums of each reward term over the present episodes, and
     `reward_names` (T) their names, `reward/NAME`.
     """
@@ -120,6 +121,9 @@ class Task:
         self.conf = conf
         endings, rewards = list(conf.terminations.values()), list(conf.rewards.values())
         self.needs_scan = any(map(TERMINATIONS.needs_scan, endings)) or any(map(REWARDS.needs_scan, rewards))
+        self.needs_joints = any(
+            [*map(TERMINATIONS.needs_joints, endings), *map(REWARDS.needs_joints, rewards)]
+        )
         self._terminations, stateful_endings = bind_terms(TERMINATIONS, endings, num_rows)
         self._rewards, stateful_rewards = bind_terms(REWARDS, rewards, num_rows)
         self._stateful = [*stateful_endings, *stateful_rewards]

@@ -58,6 +58,22 @@ def test_a_registered_reward_is_logged_under_its_name() -> None:
 
 
 @pytest.mark.usefixtures("_users_terms_go")
+def test_a_registered_reward_may_read_the_joints() -> None:
+    @dune_rl.register_reward
+    def gentle(state: Any, group: GroupState) -> np.ndarray:
+        assert group.motion.joints is not None
+        return -np.abs(group.motion.joints.torque).sum(axis=1)
+
+    gentle.needs_joints = True  # type: ignore[attr-defined]
+    conf = compose_environment("flat", ["+task.rewards.gentle.weight=1", "actors=none"])
+    simulation = make_simulation(conf, 2, seed=0)
+    simulation.reset()
+    simulation.step({"rover": np.ones((2, 1, 2), np.float32)})
+    assert (simulation.metrics()[:, 0, simulation.metric_names().index("reward/gentle")] < 0.0).all()
+    simulation.close()
+
+
+@pytest.mark.usefixtures("_users_terms_go")
 def test_a_registered_termination_ends_and_may_be_rewarded() -> None:
     @dune_rl.register_termination("too_fast")
     class TooFast:
