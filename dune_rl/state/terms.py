@@ -1,6 +1,7 @@
 """Registries of terms: rewards, terminations and metrics, which are functions of the state."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import FrozenInstanceError
 from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -119,7 +120,9 @@ def name_term(error: Exception, kind: str, name: str) -> None:
 
 
 def check_written_state(error: Exception, part: str) -> None:
-    """Raise `RegistryError` if NumPy raised `error` because `part` wrote into an array of the state."""
+    """Raise `RegistryError` if `error` says that `part` wrote into the state or into one of its arrays."""
+    if isinstance(error, FrozenInstanceError):
+        raise RegistryError(f"{part} changes the state, which cannot be changed ({error}).") from error
     if isinstance(error, ValueError) and "read-only" in str(error):
         raise RegistryError(
             f"{part} writes into an array of the state, which cannot be changed: let it work on a copy "

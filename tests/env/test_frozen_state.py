@@ -48,6 +48,18 @@ def test_a_term_that_writes_into_the_state_is_named(kind: str, path: tuple[str, 
     simulation.close()
 
 
+def test_a_term_that_sets_a_field_of_the_state_is_named() -> None:
+    @dune_rl.register_reward
+    def forgets(state: State, group: GroupState) -> np.ndarray:
+        group.motion = None  # type: ignore[misc, assignment]
+        return np.zeros(len(group.done))
+
+    simulation = started_simulation(task={"rewards": {"forgets": {}}})
+    with pytest.raises(RegistryError, match="the reward term 'forgets' changes the state, which cannot be"):
+        act(simulation)
+    simulation.close()
+
+
 def arrays_of(value: Any, seen: set[int]) -> Iterator[np.ndarray]:
     """All arrays that are reached from `value` through the parts of a state."""
     if isinstance(value, np.ndarray):
