@@ -4,6 +4,7 @@ import _thread
 import errno
 import logging
 import os
+import re
 import signal
 import sys
 import threading
@@ -17,6 +18,9 @@ from typing import TYPE_CHECKING, Any, NoReturn, Protocol, TypeVar
 
 from dune_rl.commands.pages import PAGES, HelpPage, show_help
 from dune_rl.core.errors import ConfigError, DuneError, DuneWarning
+from dune_rl.core.paths import conf_folder
+from dune_rl.core.plugins import entry_points_by_name
+from dune_rl.core.suggestions import advise
 
 # Everything else is imported in the functions that need it: `--help` shall be there at once.
 if TYPE_CHECKING:
@@ -55,6 +59,10 @@ _FILE_ERRORS = {
 _AGAIN_S = 0.05
 
 
+# Commands whose settings Hydra composes.
+_COMPOSED = ("train", "evaluate", "view", "benchmark")
+
+
 class ReportedError(DuneError):
     """An error whose message has been printed already."""
 
@@ -66,13 +74,38 @@ class Terminated(BaseException):
 def command(name: str) -> Callable[[], NoReturn]:
     """The `main` of `python -m dune_rl.NAME`: it calls `run` of the module NAME of this folder.
 
-    The module is not loaded for `--help`.
+    The module is not loaded for `--help`, nor for a world that does not exist.
     """
 
+    def body(words: Sequence[str]) -> None:
+        if name in _COMPOSED:
+            check_world_name(words)
+        import_module(f"dune_rl.commands.{name}").run(words)
+
     def main() -> NoReturn:
-        run_command(PAGES[name], lambda words: import_module(f"dune_rl.commands.{name}").run(words))
+        run_command(PAGES[name], body)
 
     return main
+
+
+def check_world_name(words: Sequence[str]) -> None:
+    """Raise ConfigError if `world=NAME` names no world: loading the settings first would take a second.
+
+    With further folders of options (`--config-dir`), only the loaded settings know all names.
+    """
+    if any(word.startswith(("--config", "-cd")) for word in words):
+        return
+    for word in words:
+        key, _, name = word.partition("=")
+        if key.lstrip("+") != "world" or name == "null" or not re.fullmatch(r"[A-Za-z]\w*", name):
+            continue
+        known = {file.stem for file in (conf_folder() / "world").glob("*.yaml")}
+        known |= entry_points_by_name("dune_rl.worlds").keys()
+        registry = sys.modules.get("dune_rl.worlds.registry")
+        if registry is not None:
+            known |= {*registry.WORLDS.names()}
+        if name not in known:
+            raise ConfigError(f"there is no world {name!r}; {advise(name, sorted(known))}")
 
 
 def run_command(page: HelpPage, body: Callable[[Sequence[str]], None]) -> NoReturn:

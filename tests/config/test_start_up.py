@@ -39,10 +39,13 @@ def test_help_loads_none_of_the_heavy_packages(module: str) -> None:
     assert loaded_packages(code) == set()
 
 
-@pytest.mark.slow(all_but=["+world=moon"])
-@pytest.mark.parametrize("word", ["+world=moon", "total_frame=1"])
-def test_a_misspelt_word_is_found_without_packages_that_simulate_or_learn(word: str) -> None:
-    code = f"import sys; from dune_rl.train import main; sys.argv = ['x', {word!r}, 'actors=walkers']; main()"
-    heavy = loaded_packages(code)
+def test_a_misspelt_key_is_found_without_packages_that_simulate_or_learn() -> None:
+    words = ["x", "+world=flat", "total_frame=1", "actors=walkers"]
+    heavy = loaded_packages(f"import sys; from dune_rl.train import main; sys.argv = {words}; main()")
     assert "pydantic" in heavy
     assert heavy <= {"pydantic", "scipy", "numba"}
+
+
+def test_a_misspelt_world_is_found_without_the_settings() -> None:
+    code = "import sys; from dune_rl.train import main; sys.argv = ['x', '+world=inspektion']; main()"
+    assert not loaded_packages(code)
