@@ -9,9 +9,9 @@ ROBOTS: Registry[Robot] = Registry(
     "robot",
     "dune_rl.robots.registry:ROBOTS",
     own={
-        "rover_zero": "dune_rl.robots.rover_zero.robot:RoverZero",
-        "leo_rover": "dune_rl.robots.leo_rover.robot:LeoRover",
-        "hyperdog": "dune_rl.robots.hyperdog.robot:HyperDog",
+        "rover_zero": "dune_rl.robots.rover_zero:RoverZero",
+        "leo_rover": "dune_rl.robots.leo_rover:LeoRover",
+        "hyperdog": "dune_rl.robots.hyperdog:HyperDog",
         "urdf": "dune_rl.robots.urdf.robot:UrdfRobot",
     },
     base=RobotSettings,

@@ -1,5 +1,6 @@
 """Robots on wheels that steer by skidding: their actions are a speed and a heading."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Self
@@ -7,11 +8,12 @@ from typing import Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from dune_rl.core.paths import assets_folder
 from dune_rl.core.settings import Settings
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import clip
 from dune_rl.physics.motors import Motor
-from dune_rl.physics.robot_body import RobotBody
+from dune_rl.physics.robot_body import RobotBody, Tyre
 from dune_rl.robots.heading import HeadingConf, HeadingController
 from dune_rl.robots.robot import BodyMotion, RobotDescription, WheelLayout
 
@@ -142,6 +144,34 @@ class WheeledRobot:
         yaw_rate = self._heading.yaw_rate(error, step_s)
         left, right = self._drive.wheel_speeds(action[:, 0], yaw_rate, measured_yaw_rate, step_s)
         return np.where(self._on_left, left[:, None], right[:, None])
+
+
+ROVER_WHEELS = tuple(f"{end}_{side}_wheel" for end in ("front", "rear") for side in ("left", "right"))
+
+
+def rover_body(
+    name: str, size: RobotDescription, drive: SkidSteerConf, wheel_friction: float, hub_m: float = 0.0
+) -> RobotBody:
+    """The rover called `name` in `assets/robots`, with four wheels, their motors and tyres.
+
+    A tyre's centre is `hub_m` inward of its wheel's joint.
+    """
+    return RobotBody(
+        urdf=assets_folder() / "robots" / name / f"{name}.urdf",
+        motors=tuple(wheel_motor(f"{wheel}_joint", drive) for wheel in ROVER_WHEELS),
+        ground_links=ROVER_WHEELS,
+        ground_friction=wheel_friction,
+        tyres=tuple(
+            Tyre(
+                wheel,
+                size.contact_radius_m,
+                size.contact_width_m,
+                (x, y, z),
+                (0.0, math.copysign(hub_m, -y), 0.0),
+            )
+            for wheel, (x, y, z) in zip(ROVER_WHEELS, size.contact_centres_b.tolist(), strict=True)
+        ),
+    )
 
 
 def wheel_motor(joint: str, drive: SkidSteerConf) -> Motor:

@@ -13,8 +13,8 @@ from dune_rl.config.controller_settings import FrozenPolicyConf
 from dune_rl.config.schema import EnvConf, SingleAgentConf
 from dune_rl.core.errors import ConfigError
 from dune_rl.metrics.episode import MetricsConf
-from dune_rl.robots.leo_rover.robot import LeoRoverConf
-from dune_rl.robots.rover_zero.robot import RoverZeroConf
+from dune_rl.robots.leo_rover import LeoRoverConf
+from dune_rl.robots.rover_zero import RoverZeroConf
 from dune_rl.tasks.task import TaskConf, walking_task
 
 TEAM = (

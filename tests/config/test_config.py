@@ -30,9 +30,9 @@ from dune_rl.metrics.episode import PAPER_METRICS, MetricsConf
 from dune_rl.physics.interface import PhysicsConf
 from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.weather import WeatherConf
-from dune_rl.robots.hyperdog.robot import HyperDogConf
-from dune_rl.robots.leo_rover.robot import LeoRoverConf
-from dune_rl.robots.rover_zero.robot import RoverZeroConf
+from dune_rl.robots.hyperdog import HyperDogConf
+from dune_rl.robots.leo_rover import LeoRoverConf
+from dune_rl.robots.rover_zero import RoverZeroConf
 from dune_rl.robots.urdf.conf import UrdfConf
 from dune_rl.sensors.conf import default_sensors, parse_sensors
 from dune_rl.sensors.settings import SensorSettings

@@ -7,7 +7,7 @@ from simulations import every_engine
 
 from dune_rl.commands.engines import recording
 from dune_rl.commands.engines.stability import FaultCounts, SpeedLimit, count_faults
-from dune_rl.robots.rover_zero.robot import RoverZero
+from dune_rl.robots.rover_zero import RoverZero
 
 MASSES_KG = {"rover_zero": RoverZero.description.mass_kg, "hyperdog": 5.0}
 every_robot = pytest.mark.parametrize("robot", MASSES_KG)

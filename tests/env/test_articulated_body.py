@@ -11,7 +11,7 @@ from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.physics.interface import PhysicsConf
 from dune_rl.rendering.weather import WeatherConf
-from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
+from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.flat import FlatConf, build_flat
 

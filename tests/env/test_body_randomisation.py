@@ -18,7 +18,7 @@ from dune_rl.core.errors import ConfigError, PhysicsError
 from dune_rl.env.latency import Latency
 from dune_rl.physics.motors import Motor
 from dune_rl.physics.varied_body import BodyVariation, scale_motors, varied_urdf
-from dune_rl.robots.leo_rover.robot import LeoRover, LeoRoverConf
+from dune_rl.robots.leo_rover import LeoRover, LeoRoverConf
 
 ROVER_KG = 11.0
 

@@ -42,7 +42,7 @@ from dune_rl.env.scene_spec import scene_spec, standing_pose
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.physics.interface import OWN_ENGINES, Engine, PhysicsConf, step_scene
 from dune_rl.robots.robot import Robot
-from dune_rl.robots.rover_zero.robot import RoverZeroConf
+from dune_rl.robots.rover_zero import RoverZeroConf
 from dune_rl.worlds.flat import FlatConf, build_flat
 
 # -- agents ----------------------------------------------------------------------------------------

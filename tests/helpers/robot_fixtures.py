@@ -7,7 +7,7 @@ from states import joints_from, motion_of
 from dune_rl.env.scene_spec import scene_spec, standing_pose
 from dune_rl.env.traction import Traction
 from dune_rl.physics.interface import PhysicsConf, step_scene
-from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
+from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf
 from dune_rl.worlds.surface_map import SurfaceMap
 from dune_rl.worlds.surfaces import SURFACES, Surface
 from dune_rl.worlds.world import World

@@ -21,7 +21,7 @@ from dune_rl.physics.interface import PhysicsRobot, PhysicsScene, SceneSpec, ste
 from dune_rl.physics.robot_body import RobotBody
 from dune_rl.physics.shapes import KinematicCapsule, KinematicShape, StaticBody
 from dune_rl.physics.varied_body import BodyVariation
-from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
+from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf
 from dune_rl.robots.wheeled import WheeledRobot
 from dune_rl.worlds.props import upright_box
 

@@ -1,6 +1,6 @@
 """Settings of sensors at the mounts of rover_zero."""
 
-from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
+from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf
 from dune_rl.sensors.camera import CameraConf
 from dune_rl.sensors.depth_strip import DepthStripConf
 from dune_rl.sensors.height_scan import HeightScanConf

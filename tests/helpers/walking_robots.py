@@ -8,7 +8,7 @@ from scenes import STEP_S, SUBSTEPS, Backend, Stage, about, plane
 
 from dune_rl.geometry.frames import roll_pitch_yaw
 from dune_rl.physics.shapes import StaticBody
-from dune_rl.robots.hyperdog.robot import HyperDog, HyperDogConf
+from dune_rl.robots.hyperdog import HyperDog, HyperDogConf
 
 
 class Walk:

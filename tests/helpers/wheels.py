@@ -9,7 +9,7 @@ from sensor_contexts import carrier_of, context_of
 from states import begin, group_state, joints_from, measure, motion_of, resting
 
 from dune_rl.physics.bullet.scene import BulletScene
-from dune_rl.robots.rover_zero.robot import RoverZeroConf
+from dune_rl.robots.rover_zero import RoverZeroConf
 from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.currents import Currents, CurrentsConf
 from dune_rl.sensors.encoders import Encoders, EncodersConf

@@ -23,7 +23,7 @@ from simulations import act, every_engine, metric, observation, started_simulati
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.physics.motors import Motor, Servos, motor_power_w, servo_targets
 from dune_rl.physics.robot_body import Coupling, PassiveJoint, RobotBody
-from dune_rl.robots.rover_zero.robot import RoverZeroDriveConf
+from dune_rl.robots.rover_zero import RoverZeroDriveConf
 
 # A heavy box on the ground with an arm on a hinge, and a second arm beside it.
 ARM = """<?xml version="1.0"?><robot name="arm">

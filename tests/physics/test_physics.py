@@ -34,7 +34,7 @@ from scenes import (
 from dune_rl.core.errors import PhysicsError
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.physics.interface import PhysicsConf, SceneSpec, step_scene
-from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf, RoverZeroDriveConf
+from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf, RoverZeroDriveConf
 
 # Every test below takes `backend`, or pytest refuses to collect it.
 pytestmark = every_backend

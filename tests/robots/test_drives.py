@@ -13,7 +13,7 @@ from scenes import (
     slope_stage,
 )
 
-from dune_rl.robots.rover_zero.robot import RoverZeroConf, RoverZeroDriveConf
+from dune_rl.robots.rover_zero import RoverZeroConf, RoverZeroDriveConf
 
 # Every test below takes `backend`, or pytest refuses to collect it.
 pytestmark = every_backend

@@ -16,7 +16,7 @@ from dune_rl.core.errors import ConfigError
 from dune_rl.core.paths import assets_folder
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.learning.policies import built_in_policy
-from dune_rl.robots.hyperdog.robot import HyperDog, HyperDogConf
+from dune_rl.robots.hyperdog import HyperDog, HyperDogConf
 
 SLOPE_RAD = np.deg2rad(10.0)
 LIMITS_RAD = {"hip": (-1.57, 1.57), "upper": (-1.22, 3.14), "lower": (-1.57, 2.62)}

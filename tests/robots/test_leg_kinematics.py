@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dune_rl.robots.hyperdog.gait import Leg
+from dune_rl.robots.hyperdog import Leg
 
 LEG = Leg(offset_m=0.1, upper_m=0.15, lower_m=0.14, knee_rad=(0.17, 2.62))
 SIDES = np.array([1.0, -1.0])

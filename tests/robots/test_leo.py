@@ -24,7 +24,7 @@ from scenes import (
 
 from dune_rl.core.paths import assets_folder
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.robots.leo_rover.robot import LeoRover, LeoRoverConf
+from dune_rl.robots.leo_rover import LeoRover, LeoRoverConf
 
 FOLDER = assets_folder() / "robots" / "leo_rover"
 ROCKERS = ("left_rocker_joint", "right_rocker_joint")

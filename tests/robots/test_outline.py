@@ -8,10 +8,10 @@ import pytest
 from scenes import STEP_S
 
 from dune_rl.geometry.frames import wrap_angle
-from dune_rl.robots.hyperdog.robot import HyperDog, HyperDogConf
-from dune_rl.robots.leo_rover.robot import LeoRover, LeoRoverConf
+from dune_rl.robots.hyperdog import HyperDog, HyperDogConf
+from dune_rl.robots.leo_rover import LeoRover, LeoRoverConf
 from dune_rl.robots.robot import Robot
-from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
+from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf
 
 ROVERS = [lambda: RoverZero(RoverZeroConf(), 1), lambda: LeoRover(LeoRoverConf(), 1)]
 # Actions and the yaw rates [rad/s] that they end in.

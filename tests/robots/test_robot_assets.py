@@ -1,21 +1,15 @@
 """The robots' meshes: that they are ours, and where the figures come from."""
 
 from collections.abc import Callable
+from runpy import run_path
 
 import numpy as np
 import pytest
 import trimesh
 
 from dune_rl.core.paths import assets_folder
-from dune_rl.robots.hyperdog import shapes as hyperdog_shapes
-from dune_rl.robots.leo_rover import shapes as leo_shapes
-from dune_rl.robots.rover_zero import shapes as rover_zero_shapes
 
-ROBOTS = {
-    "hyperdog": hyperdog_shapes.make_meshes,
-    "leo_rover": leo_shapes.make_meshes,
-    "rover_zero": rover_zero_shapes.make_meshes,
-}
+ROBOTS = run_path(str(assets_folder() / "robots" / "draw_meshes.py"))["ROBOTS"]
 
 
 @pytest.mark.parametrize(("robot", "shapes"), ROBOTS.items(), ids=ROBOTS)

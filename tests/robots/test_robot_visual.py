@@ -7,10 +7,11 @@ import pybullet
 import pytest
 from scenes import about
 
+from dune_rl.core.errors import RobotError
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.rendering.light import srgb_to_linear
 from dune_rl.rendering.posed_mesh import PosedMesh
-from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
+from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf
 from dune_rl.robots.visual import RobotVisual
 
 ROVER_URDF = RoverZero(RoverZeroConf(), 1).body.urdf
@@ -129,6 +130,6 @@ def test_shapes_that_cannot_be_drawn_are_refused_in_words(tmp_path: Path):
     path = tmp_path / "robot.urdf"
     path.write_text(CRANE.replace('<sphere radius="0.15"/>', '<capsule radius="0.1" length="1"/>'))
     with pytest.raises(
-        ValueError, match=r"a visual <capsule> cannot be drawn; use box, cylinder, sphere or mesh"
+        RobotError, match=r"a <capsule> is no shape of a URDF; use box, cylinder, sphere or mesh"
     ):
         RobotVisual(path)

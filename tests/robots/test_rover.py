@@ -23,7 +23,7 @@ from scenes import (
 from dune_rl.geometry.frames import rotation_matrices, wrap_angle
 from dune_rl.physics.varied_body import BodyVariation
 from dune_rl.robots.heading import HeadingConf, HeadingController
-from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf, RoverZeroDriveConf
+from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf, RoverZeroDriveConf
 from dune_rl.robots.wheeled import SkidSteerConf, SkidSteerDrive
 
 EIGHT_HEADINGS = [pytest.param(k * np.pi / 4, id=f"{45 * k}deg") for k in range(8)]

@@ -5,7 +5,7 @@ import pytest
 from pydantic import ValidationError
 from scenes import STEP_S
 
-from dune_rl.robots.hyperdog.gait import Trot, TrotConf
+from dune_rl.robots.hyperdog import Trot, TrotConf
 
 HIPS_B = np.array([[0.2, 0.1, 0.0], [0.2, -0.1, 0.0], [-0.2, 0.1, 0.0], [-0.2, -0.1, 0.0]])
 LEVEL = np.zeros((1, 2))

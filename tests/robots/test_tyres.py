@@ -29,8 +29,8 @@ from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.physics.contact_gate import ContactGate, TyreActivation
 from dune_rl.physics.robot_body import RobotBody, Tyre
 from dune_rl.physics.shapes import StaticBody
-from dune_rl.robots.leo_rover.robot import LeoRover, LeoRoverConf
-from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
+from dune_rl.robots.leo_rover import LeoRover, LeoRoverConf
+from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf
 from dune_rl.robots.wheeled import WheeledRobot
 
 

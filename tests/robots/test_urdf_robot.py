@@ -18,7 +18,7 @@ from dune_rl.config.build import make_simulation
 from dune_rl.config.compose import compose_environment
 from dune_rl.core.errors import ConfigError, RobotError
 from dune_rl.core.paths import assets_folder
-from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
+from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf
 from dune_rl.robots.urdf.conf import UrdfConf
 from dune_rl.robots.urdf.robot import UrdfRobot
 from dune_rl.robots.visual import RobotVisual

@@ -18,7 +18,7 @@ from states import begin, measure
 from wheels import ALL, WHEELS, Measured, on_wheels, reading, wheels_state, within_bounds
 
 from dune_rl.geometry.frames import rotation_matrices
-from dune_rl.robots.rover_zero.robot import RoverZeroConf, RoverZeroDriveConf
+from dune_rl.robots.rover_zero import RoverZeroConf, RoverZeroDriveConf
 from dune_rl.robots.wheeled import SkidSteerConf
 from dune_rl.sensors.currents import Currents, CurrentsConf
 from dune_rl.sensors.encoders import EncodersConf

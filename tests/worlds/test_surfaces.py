@@ -14,7 +14,7 @@ from dune_rl.config.compose import compose_environment
 from dune_rl.core.errors import WorldError
 from dune_rl.core.paths import assets_folder
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.robots.rover_zero.robot import RoverZero, RoverZeroConf
+from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf
 from dune_rl.worlds.appearance import build_scenery
 from dune_rl.worlds.importing.heightmap_world import HeightmapConf, build_heightmap
 from dune_rl.worlds.props import upright_box

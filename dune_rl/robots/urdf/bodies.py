@@ -11,7 +11,7 @@ from trimesh.transformations import euler_from_matrix
 
 from dune_rl.core.errors import RobotError
 from dune_rl.geometry.arrays import Array
-from dune_rl.robots.urdf.meshes import MeshError, UrdfMeshes
+from dune_rl.robots.urdf.meshes import MeshError, UrdfMeshes, primitive_mesh
 from dune_rl.robots.urdf.model import Geometry, Inertial, Joint, UrdfModel
 
 _SECTIONS = 32
@@ -74,7 +74,7 @@ def merge_links(model: UrdfModel, moving: Collection[str], meshes: UrdfMeshes) -
                     own = replace(child, pose=child_pose, parent=first)
                     roots.append((child.child, own, pose_b @ child_pose))
                 else:
-                    links.append((child.child, child_pose @ child.rest_pose()))
+                    links.append((child.child, child_pose @ child.motion(child.rest)))
         if not inertials:
             by = "it is the base" if joint is None else f"joint {joint.name!r} moves it"
             raise RobotError(
@@ -127,7 +127,6 @@ def write_urdfs(
     no visual shape for it shows its collision shapes.
     """
     physics, look = (Element("robot", name=model.name) for _ in range(2))
-    look.extend(model.materials)
     for number, body in enumerate(bodies):
         link = SubElement(physics, "link", name=body.name)
         _write_inertial(link, body.inertial)
@@ -169,15 +168,9 @@ def write_urdfs(
 
 def _coloured_mesh(name: str, meshes: UrdfMeshes) -> trimesh.Trimesh:
     """A mesh file as one mesh with face colours, those of textures included, that needs no other file."""
-    parts = meshes.parts(name)
-    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])[:-1]
-    colours = np.concatenate([part.colours for part in parts])
-    return trimesh.Trimesh(
-        np.concatenate([part.vertices for part in parts]),
-        np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)]),
-        face_colors=np.column_stack([np.round(colours * 255), np.full(len(colours), 255)]).astype(np.uint8),
-        process=False,
-    )
+    vertices, faces, colours = meshes.load(name)
+    rgba = np.column_stack([np.round(colours * 255), np.full(len(colours), 255)]).astype(np.uint8)
+    return trimesh.Trimesh(vertices, faces, face_colors=rgba, process=False)
 
 
 def _transformed(geometry: Geometry, pose: Array) -> Geometry:
@@ -210,14 +203,7 @@ def _convex_shape(geometry: Geometry, link: str, meshes: UrdfMeshes, model: Urdf
             ) from None
         points = corners @ geometry.pose[:3, :3].T + geometry.pose[:3, 3]
         return ConvexShape(replace(geometry, pose=np.eye(4)), points)
-    if geometry.kind == "box":
-        half = np.array(geometry.size) / 2
-        corners = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T * half
-    elif geometry.kind == "cylinder":
-        radius, length = geometry.size
-        corners = np.asarray(trimesh.creation.cylinder(radius, length, sections=_SECTIONS).vertices)
-    else:
-        corners = np.asarray(trimesh.creation.icosphere(subdivisions=3, radius=geometry.size[0]).vertices)
+    corners = np.asarray(primitive_mesh(geometry.kind, geometry.size, _SECTIONS).vertices)
     return ConvexShape(geometry, corners @ geometry.pose[:3, :3].T + geometry.pose[:3, 3])
 
 
@@ -244,9 +230,9 @@ def _write_shape(link: Element, tag: str, geometry: Geometry) -> Element:
     """The <geometry> element of a shape; the caller adds the <mesh> of a mesh."""
     element = SubElement(link, tag)
     _write_origin(element, geometry.pose)
-    material = geometry.element.find("material")
-    if tag == "visual" and material is not None:
-        element.append(material)
+    if tag == "visual" and geometry.colour is not None:
+        rgba = " ".join(repr(part) for part in (*geometry.colour, 1.0))
+        SubElement(SubElement(element, "material", name=rgba), "color", rgba=rgba)
     holder = SubElement(element, "geometry")
     size = [repr(float(value)) for value in geometry.size]
     if geometry.kind == "box":
@@ -264,6 +250,6 @@ def _write_joint(root: Element, joint: Joint) -> None:
     SubElement(element, "child", link=joint.child)
     _write_origin(element, joint.pose)
     SubElement(element, "axis", xyz=" ".join(repr(float(x)) for x in joint.axis))
-    if joint.kind in ("revolute", "prismatic"):
+    if joint.is_limited:
         lower, upper = joint.limits
         SubElement(element, "limit", lower=repr(lower), upper=repr(upper), effort="1e6", velocity="1e6")

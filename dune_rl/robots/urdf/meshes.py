@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
+from numpy.typing import NDArray
 
 from dune_rl.core.errors import DuneWarning, RobotError, WorldError
 from dune_rl.core.untrusted_files import ImportReport, WorldFiles, printable
-from dune_rl.geometry.arrays import Array
+from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.rendering.mesh_files.files import FORMATS, load_mesh_parts
-from dune_rl.rendering.mesh_files.parts import MeshPart
 
 PACKAGE_VARIABLE = "ROS_PACKAGE_PATH"
 _PACKAGE = "package://"
@@ -38,7 +38,7 @@ class UrdfMeshes:
     def __init__(self, urdf: Path) -> None:
         self._urdf = urdf
         self.report = ImportReport(urdf.name)
-        self._parts: dict[str, list[MeshPart]] = {}
+        self._meshes: dict[str, tuple[Array, NDArray[np.int32], Floats]] = {}
         self._hulls: dict[tuple[str, tuple[float, ...]], Array] = {}
         self._beside = urdf.resolve().parent
 
@@ -67,22 +67,24 @@ class UrdfMeshes:
         where = ", ".join(str(folder.base) for folder in searched)
         raise MeshError(f"the mesh {printable(name)} is not in {where}; copy it there, or mend the name.")
 
-    def parts(self, name: str) -> list[MeshPart]:
-        """The mesh with a name in the URDF as coloured parts [m], in the axes of the file."""
-        if name not in self._parts:
-            self._parts[name] = self._load(name)
-        return self._parts[name]
+    def load(self, name: str) -> tuple[Array, NDArray[np.int32], Floats]:
+        """Vertices (V, 3) [m], faces (F, 3) and sRGB colours (F, 3) of a mesh, in the axes of the file.
+
+        Colours include those of textures. Raises `MeshError` if the mesh is missing or cannot be read.
+        """
+        if name not in self._meshes:
+            self._meshes[name] = self._read(name)
+        return self._meshes[name]
 
     def hull_corners(self, name: str, scale: tuple[float, ...]) -> Array:
         """Corners (P, 3) of the convex hull of a mesh, scaled; an exception of any kind if it is flat."""
         key = name, scale
         if key not in self._hulls:
-            points = np.concatenate([part.vertices for part in self.parts(name)]) * np.array(scale)
-            hull = trimesh.Trimesh(points, process=False).convex_hull
+            hull = trimesh.Trimesh(self.load(name)[0] * np.array(scale), process=False).convex_hull
             self._hulls[key] = np.asarray(hull.vertices)
         return self._hulls[key]
 
-    def _load(self, name: str) -> list[MeshPart]:
+    def _read(self, name: str) -> tuple[Array, NDArray[np.int32], Floats]:
         path = self.find(name)
         if path.suffix.lower() not in FORMATS:
             raise MeshError(
@@ -91,9 +93,15 @@ class UrdfMeshes:
             )
         try:
             # A URDF ignores the up axis that a file declares.
-            return load_mesh_parts(path, WorldFiles(path.resolve().parent), ImportReport(path.name), up="z")
+            parts = load_mesh_parts(path, WorldFiles(path.resolve().parent), ImportReport(path.name), up="z")
         except WorldError as error:
             raise MeshError(_robot_message(error)) from None
+        starts = np.cumsum([0, *(len(part.vertices) for part in parts)])[:-1]
+        return (
+            np.concatenate([part.vertices for part in parts]),
+            np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)]),
+            np.concatenate([part.colours for part in parts]),
+        )
 
     def _root(self) -> Path:
         for folder in (self._beside, *self._beside.parents):
@@ -121,3 +129,13 @@ class UrdfMeshes:
 
 def _robot_message(error: WorldError) -> str:
     return str(error).replace("the world needs", "the robot needs").replace("world.path", "robot.path")
+
+
+def primitive_mesh(kind: str, size: tuple[float, ...], sections: int) -> trimesh.Trimesh:
+    """A box, a cylinder with so many sections, or a sphere; for `size` see `Geometry`."""
+    if kind == "box":
+        return trimesh.creation.box(size)
+    if kind == "cylinder":
+        radius, length = size
+        return trimesh.creation.cylinder(radius, length, sections=sections)
+    return trimesh.creation.icosphere(subdivisions=3, radius=size[0])

@@ -1,6 +1,6 @@
 """Reader of URDFs: links with masses and shapes, and the tree of joints, as checked data."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -41,15 +41,15 @@ class Inertial:
 class Geometry:
     """A box, cylinder (along z), sphere or mesh, at `pose` (4, 4) in its link.
 
-    `size` is (3,) lengths, (radius, length), (radius,), or a mesh's (3,) scale; `element` is the URDF's
-    element, for the material.
+    `size` is (3,) lengths, (radius, length), (radius,), or a mesh's (3,) scale. `colour` (sRGB) is its
+    material's, None without one.
     """
 
     kind: str
     size: tuple[float, ...]
     pose: Array
     mesh: str | None
-    element: Element
+    colour: tuple[float, ...] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,30 +84,35 @@ class Joint:
     damping: float
     mimic: tuple[str, float] | None
 
-    def rest_pose(self) -> Array:
-        """Motion (4, 4) of the child with the joint at zero, or at the limit nearest to zero."""
-        if self.kind not in ("revolute", "prismatic"):
+    @property
+    def rest(self) -> float:
+        """Position at rest [m or rad]: zero, or the limit nearest to zero."""
+        return min(max(0.0, self.limits[0]), self.limits[1]) if self.is_limited else 0.0
+
+    @property
+    def is_limited(self) -> bool:
+        """Whether `limits` apply."""
+        return self.kind in ("revolute", "prismatic")
+
+    def motion(self, position: float) -> Array:
+        """Motion (4, 4) of the child at a position [m or rad]."""
+        if self.kind == "fixed":
             return np.eye(4)
-        lower, upper = self.limits
-        value = min(max(0.0, lower), upper)
-        if self.kind == "revolute":
-            return np.asarray(rotation_matrix(value, self.axis))
-        return np.asarray(translation_matrix(value * self.axis))
+        slides = self.kind == "prismatic"
+        return np.asarray(
+            translation_matrix(position * self.axis) if slides else rotation_matrix(position, self.axis)
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class UrdfModel:
-    """Links and joints of a robot by name; `root` is the base link's.
-
-    `materials` are top-level <material> elements, and `hints` what other elements say.
-    """
+    """Links and joints of a robot by name; `root` is the base link's, and `hints` what other elements say."""
 
     path: Path
     name: str
     root: str
     links: dict[str, Link]
     joints: dict[str, Joint]
-    materials: tuple[Element, ...] = field(default=())
     hints: UrdfHints = field(default_factory=UrdfHints)
 
     def joints_above(self, link: str) -> list[Joint]:
@@ -123,25 +128,36 @@ class UrdfModel:
         return {joint.child: joint for joint in self.joints.values()}
 
     def pose_b(self, link: str) -> Array:
-        """Pose (4, 4) of `link` in the root's frame with all joints at rest: see `Joint.rest_pose`."""
+        """Pose (4, 4) of `link` in the root's frame with all joints at rest."""
         return self._poses_b[link]
 
     @cached_property
     def _poses_b(self) -> dict[str, Array]:
-        children: dict[str, list[Joint]] = {}
-        for joint in self.joints.values():
-            children.setdefault(joint.parent, []).append(joint)
-        poses, parents = {self.root: np.eye(4)}, [self.root]
+        return self.link_poses(np.eye(4), {joint.name: joint.rest for joint in self.joints.values()})
+
+    def link_poses(self, base: Array, positions: Mapping[str, float]) -> dict[str, Array]:
+        """Poses (4, 4) of the links, by name, with the root at `base` and joints at `positions` [m or rad].
+
+        Joints that are not named are at zero.
+        """
+        poses, parents = {self.root: base}, [self.root]
         while parents:
             parent = parents.pop()
-            for joint in children.get(parent, ()):
-                poses[joint.child] = poses[parent] @ joint.pose @ joint.rest_pose()
+            for joint in self.child_joints(parent):
+                poses[joint.child] = poses[parent] @ joint.pose @ joint.motion(positions.get(joint.name, 0.0))
                 parents.append(joint.child)
         return poses
 
-    def child_joints(self, link: str) -> list[Joint]:
+    def child_joints(self, link: str) -> Sequence[Joint]:
         """The joints whose parent is `link`, in the file's order."""
-        return [joint for joint in self.joints.values() if joint.parent == link]
+        return self._by_parent.get(link, ())
+
+    @cached_property
+    def _by_parent(self) -> dict[str, list[Joint]]:
+        children: dict[str, list[Joint]] = {}
+        for joint in self.joints.values():
+            children.setdefault(joint.parent, []).append(joint)
+        return children
 
 
 def read_urdf(path: str | Path) -> UrdfModel:
@@ -160,7 +176,7 @@ def read_urdf(path: str | Path) -> UrdfModel:
     if root.tag != "robot":
         raise RobotError(f"{file.name} begins with <{printable(str(root.tag))}>, and a URDF with <robot>.")
     try:
-        return _Reader(file).model(root)
+        return _read_model(root, file)
     except _FaultError as fault:
         raise RobotError(f"{file.name}: {fault}") from None
 
@@ -176,82 +192,80 @@ class _FaultError(Exception):
     pass
 
 
-class _Reader:
-    def __init__(self, path: Path) -> None:
-        self._path = path
+def _read_model(root: Element, path: Path) -> UrdfModel:
+    colours = {
+        material.get("name", ""): _numbers(material.find("color"), "rgba", 4, None, "a <material>")[:3]
+        for material in root.findall("material")
+        if material.find("color") is not None
+    }
+    links: dict[str, Link] = {}
+    for element in root.findall("link"):
+        link = _link(element, colours)
+        if link.name in links:
+            raise _FaultError(f"there are two links {printable(link.name)!r}; rename one.")
+        links[link.name] = link
+    if not links:
+        raise _FaultError("it has no links; a robot has one at least.")
+    if len(links) > _MOST_LINKS:
+        raise _FaultError(f"it has {len(links)} links, more than {_MOST_LINKS}; leave some out.")
+    joints: dict[str, Joint] = {}
+    for element in root.findall("joint"):
+        joint = _joint(element, links)
+        if joint.name in joints:
+            raise _FaultError(f"there are two joints {printable(joint.name)!r}; rename one.")
+        joints[joint.name] = joint
+    base = _base_of(links, list(joints.values()))
+    return UrdfModel(path, root.get("name", "robot"), base, links, joints, read_hints(root))
 
-    def model(self, root: Element) -> UrdfModel:
-        links: dict[str, Link] = {}
-        for element in root.findall("link"):
-            link = self._link(element)
-            if link.name in links:
-                raise _FaultError(f"there are two links {printable(link.name)!r}; rename one.")
-            links[link.name] = link
-        if not links:
-            raise _FaultError("it has no links; a robot has one at least.")
-        if len(links) > _MOST_LINKS:
-            raise _FaultError(f"it has {len(links)} links, more than {_MOST_LINKS}; leave some out.")
-        joints: dict[str, Joint] = {}
-        for element in root.findall("joint"):
-            joint = self._joint(element, links)
-            if joint.name in joints:
-                raise _FaultError(f"there are two joints {printable(joint.name)!r}; rename one.")
-            joints[joint.name] = joint
-        base = _base_of(links, list(joints.values()))
-        materials = tuple(root.findall("material"))
-        name = root.get("name", "robot")
-        return UrdfModel(self._path, name, base, links, joints, materials, read_hints(root))
 
-    def _link(self, element: Element) -> Link:
-        name = _name(element)
-        where = f"link {printable(name)!r}"
-        inertial = element.find("inertial")
-        return Link(
-            name,
-            None if inertial is None else _inertial(inertial, where),
-            tuple(_geometry(each, where) for each in element.findall("collision")),
-            tuple(_geometry(each, where) for each in element.findall("visual")),
-        )
+def _link(element: Element, colours: Mapping[str, tuple[float, ...]]) -> Link:
+    name = _name(element)
+    where = f"link {printable(name)!r}"
+    inertial = element.find("inertial")
+    collisions, visuals = (
+        tuple(_geometry(each, where, colours) for each in element.findall(tag))
+        for tag in ("collision", "visual")
+    )
+    return Link(name, None if inertial is None else _inertial(inertial, where), collisions, visuals)
 
-    def _joint(self, element: Element, links: dict[str, Link]) -> Joint:
-        name, kind = _name(element), element.get("type", "")
-        where = f"joint {printable(name)!r}"
-        if kind not in _KINDS:
-            raise _FaultError(f"{where} has the type {printable(kind)!r}; types are {', '.join(_KINDS)}.")
-        ends = []
-        for end in ("parent", "child"):
-            found = element.find(end)
-            link = None if found is None else found.get("link")
-            if link is None or link not in links:
-                raise _FaultError(
-                    f"{where}: its {end} is {printable(str(link))!r}, and no link is called so."
-                )
-            ends.append(link)
-        axis = _numbers(element.find("axis"), "xyz", 3, (1.0, 0.0, 0.0), where)
-        length = float(np.linalg.norm(axis))
-        if kind != "fixed" and length < 1e-9:
-            raise _FaultError(f'{where}: its <axis> has no length; write xyz="0 1 0" or such.')
-        limit, dynamics, mimic = (element.find(tag) for tag in ("limit", "dynamics", "mimic"))
-        lower, upper = (_number(limit, name_, 0.0, where) for name_ in ("lower", "upper"))
-        if kind in ("revolute", "prismatic") and lower > upper:
-            raise _FaultError(f"{where}: its <limit> has lower {lower:g} above upper {upper:g}.")
-        ratio = _number(mimic, "multiplier", 1.0, where)
-        if ratio == 0.0:
-            raise _FaultError(f"{where}: its <mimic> has the multiplier 0; make the joint fixed.")
-        return Joint(
-            name,
-            cast(JointKind, kind),
-            ends[0],
-            ends[1],
-            _pose(element, where),
-            np.array(axis) / max(length, 1e-9),
-            (lower, upper),
-            _positive(limit, "effort", where),
-            _positive(limit, "velocity", where),
-            abs(_number(dynamics, "friction", 0.0, where)),
-            abs(_number(dynamics, "damping", 0.0, where)),
-            None if mimic is None else (mimic.get("joint", ""), ratio),
-        )
+
+def _joint(element: Element, links: dict[str, Link]) -> Joint:
+    name, kind = _name(element), element.get("type", "")
+    where = f"joint {printable(name)!r}"
+    if kind not in _KINDS:
+        raise _FaultError(f"{where} has the type {printable(kind)!r}; types are {', '.join(_KINDS)}.")
+    ends = []
+    for end in ("parent", "child"):
+        found = element.find(end)
+        link = None if found is None else found.get("link")
+        if link is None or link not in links:
+            raise _FaultError(f"{where}: its {end} is {printable(str(link))!r}, and no link is called so.")
+        ends.append(link)
+    axis = _numbers(element.find("axis"), "xyz", 3, (1.0, 0.0, 0.0), where)
+    length = float(np.linalg.norm(axis))
+    if kind != "fixed" and length < 1e-9:
+        raise _FaultError(f'{where}: its <axis> has no length; write xyz="0 1 0" or such.')
+    limit, dynamics, mimic = (element.find(tag) for tag in ("limit", "dynamics", "mimic"))
+    lower, upper = (_number(limit, name_, 0.0, where) for name_ in ("lower", "upper"))
+    if kind in ("revolute", "prismatic") and lower > upper:
+        raise _FaultError(f"{where}: its <limit> has lower {lower:g} above upper {upper:g}.")
+    ratio = _number(mimic, "multiplier", 1.0, where)
+    if ratio == 0.0:
+        raise _FaultError(f"{where}: its <mimic> has the multiplier 0; make the joint fixed.")
+    return Joint(
+        name,
+        cast(JointKind, kind),
+        ends[0],
+        ends[1],
+        _pose(element, where),
+        np.array(axis) / max(length, 1e-9),
+        (lower, upper),
+        _positive(limit, "effort", where),
+        _positive(limit, "velocity", where),
+        abs(_number(dynamics, "friction", 0.0, where)),
+        abs(_number(dynamics, "damping", 0.0, where)),
+        None if mimic is None else (mimic.get("joint", ""), ratio),
+    )
 
 
 def _base_of(links: dict[str, Link], joints: Sequence[Joint]) -> str:
@@ -308,12 +322,22 @@ def _inertial(element: Element, where: str) -> Inertial | None:
     return Inertial(mass, np.zeros(3), inertia).transform(pose)
 
 
-def _geometry(element: Element, where: str) -> Geometry:
+def _colour(
+    material: Element | None, colours: Mapping[str, tuple[float, ...]], where: str
+) -> tuple[float, ...] | None:
+    if material is None:
+        return None
+    own = material.find("color")
+    default = None if own is None else _numbers(own, "rgba", 4, None, where)[:3]
+    return colours.get(material.get("name", ""), default)
+
+
+def _geometry(element: Element, where: str, colours: Mapping[str, tuple[float, ...]]) -> Geometry:
     holder = element.find("geometry")
     if holder is None or not len(holder):
         raise _FaultError(f"{where}: a <{element.tag}> has no <geometry>; give it one, or remove it.")
     shape = holder[0]
-    pose = _pose(element, where)
+    pose, colour = _pose(element, where), _colour(element.find("material"), colours, where)
     if shape.tag == "box":
         size = _numbers(shape, "size", 3, None, where)
     elif shape.tag == "cylinder":
@@ -326,7 +350,7 @@ def _geometry(element: Element, where: str) -> Geometry:
             raise _FaultError(f"{where}: a <mesh> has no filename.")
         if not all(size):
             raise _FaultError(f"{where}: a <mesh> has a scale of 0.")
-        return Geometry("mesh", size, pose, shape.get("filename"), element)
+        return Geometry("mesh", size, pose, shape.get("filename"), colour)
     else:
         raise _FaultError(
             f"{where}: a <{printable(str(shape.tag))}> is no shape of a URDF; "
@@ -334,7 +358,7 @@ def _geometry(element: Element, where: str) -> Geometry:
         )
     if min(size) <= 0.0:
         raise _FaultError(f"{where}: a <{shape.tag}> has a size of {min(size):g} m; sizes are above 0.")
-    return Geometry(shape.tag, size, pose, None, element)
+    return Geometry(shape.tag, size, pose, None, colour)
 
 
 def _pose(element: Element, where: str) -> Array:

@@ -6,15 +6,14 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from dune_rl.core.paths import assets_folder
-from dune_rl.physics.robot_body import Coupling, PassiveJoint, RobotBody, Tyre
+from dune_rl.physics.robot_body import Coupling, PassiveJoint
 from dune_rl.robots.heading import HeadingConf
 from dune_rl.robots.robot import RobotDescription
 from dune_rl.robots.settings import BatteryConf, MountsConf, RobotSettings
-from dune_rl.robots.wheeled import SkidSteerConf, WheeledRobot, wheel_motor
+from dune_rl.robots.wheeled import ROVER_WHEELS, SkidSteerConf, WheeledRobot, rover_body
 
 # From a wheel's joint, at the outside of its hub, inward to the centre of its tyre [m].
-_TYRE_Y = 0.0449
+_HUB_M = 0.0449
 
 
 class LeoDriveConf(SkidSteerConf):
@@ -100,27 +99,13 @@ class LeoRover(WheeledRobot):
 
     def __init__(self, conf: LeoRoverConf, num_robots: int) -> None:
         self.conf = conf
-        wheels = [f"{end}_{side}_wheel" for end in ("front", "rear") for side in ("left", "right")]
         rockers = ("left_rocker_joint", "right_rocker_joint")
-        size = LeoRover.description
+        body = rover_body("leo_rover", LeoRover.description, conf.drive, conf.wheel_friction, _HUB_M)
         super().__init__(
-            replace(size, mounts=conf.mounts, battery=conf.battery),
-            RobotBody(
-                urdf=assets_folder() / "robots" / "leo_rover" / "leo_rover.urdf",
-                motors=tuple(wheel_motor(f"{wheel}_joint", conf.drive) for wheel in wheels),
-                ground_links=tuple(wheels),
-                ground_friction=conf.wheel_friction,
+            replace(LeoRover.description, mounts=conf.mounts, battery=conf.battery),
+            replace(
+                body,
                 sideways_friction_share=conf.sideways_friction_share,
-                tyres=tuple(
-                    Tyre(
-                        wheel,
-                        size.contact_radius_m,
-                        size.contact_width_m,
-                        (x, y, z),
-                        centre=(0.0, float(np.copysign(_TYRE_Y, -y)), 0.0),
-                    )
-                    for wheel, (x, y, z) in zip(wheels, size.contact_centres_b.tolist(), strict=True)
-                ),
                 passive=tuple(
                     PassiveJoint(joint, conf.rocker_friction_nm, conf.rocker_damping_nms_per_rad)
                     for joint in rockers
@@ -129,6 +114,6 @@ class LeoRover(WheeledRobot):
             ),
             heading=conf.heading,
             drive=conf.drive,
-            on_left=["left" in wheel for wheel in wheels],
+            on_left=["left" in wheel for wheel in ROVER_WHEELS],
             num_robots=num_robots,
         )

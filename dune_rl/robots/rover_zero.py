@@ -6,12 +6,10 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from dune_rl.core.paths import assets_folder
-from dune_rl.physics.robot_body import RobotBody, Tyre
 from dune_rl.robots.heading import HeadingConf
 from dune_rl.robots.robot import RobotDescription
 from dune_rl.robots.settings import BatteryConf, MountsConf, RobotSettings
-from dune_rl.robots.wheeled import SkidSteerConf, WheeledRobot, wheel_motor
+from dune_rl.robots.wheeled import ROVER_WHEELS, SkidSteerConf, WheeledRobot, rover_body
 
 
 class RoverZeroDriveConf(SkidSteerConf):
@@ -70,22 +68,11 @@ class RoverZero(WheeledRobot):
 
     def __init__(self, conf: RoverZeroConf, num_robots: int) -> None:
         self.conf = conf
-        wheels = [f"{end}_{side}_wheel" for end in ("front", "rear") for side in ("left", "right")]
-        size = RoverZero.description
         super().__init__(
-            replace(size, mounts=conf.mounts, battery=conf.battery),
-            RobotBody(
-                urdf=assets_folder() / "robots" / "rover_zero" / "rover_zero.urdf",
-                motors=tuple(wheel_motor(f"{wheel}_joint", conf.drive) for wheel in wheels),
-                ground_links=tuple(wheels),
-                ground_friction=conf.wheel_friction,
-                tyres=tuple(
-                    Tyre(wheel, size.contact_radius_m, size.contact_width_m, (x, y, z))
-                    for wheel, (x, y, z) in zip(wheels, size.contact_centres_b.tolist(), strict=True)
-                ),
-            ),
+            replace(RoverZero.description, mounts=conf.mounts, battery=conf.battery),
+            rover_body("rover_zero", RoverZero.description, conf.drive, conf.wheel_friction),
             heading=conf.heading,
             drive=conf.drive,
-            on_left=["left" in wheel for wheel in wheels],
+            on_left=["left" in wheel for wheel in ROVER_WHEELS],
             num_robots=num_robots,
         )

@@ -1,1 +1,0 @@
-"""HyperDog, a quadruped of twelve servos."""

@@ -1,1 +1,0 @@
-"""Leo Rover: four wheels on two rockers."""

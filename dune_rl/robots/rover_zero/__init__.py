@@ -1,1 +1,0 @@
-"""Rover Zero, the paper's skid-steer platform."""
