@@ -44,6 +44,7 @@ __all__ = [
     "register_algorithm",
     "register_behaviour",
     "register_body",
+    "register_curriculum",
     "register_encoder",
     "register_engine",
     "register_metric",
@@ -229,6 +230,7 @@ register_termination = RegisterDecorator("dune_rl.tasks.registry:TERMINATIONS")
 register_start_source = RegisterDecorator("dune_rl.tasks.registry:START_SOURCES")
 register_motion_model = RegisterDecorator("dune_rl.bodies.motion:MOTION_MODELS")
 register_metric = RegisterDecorator("dune_rl.metrics.registry:METRICS")
+register_curriculum = RegisterDecorator("dune_rl.env.curriculum:CURRICULA")
 register_randomisation = RegisterDecorator("dune_rl.env.randomisation:RANDOMISATIONS")
 register_encoder = RegisterDecorator("dune_rl.learning.networks.registry:ENCODERS")
 register_algorithm = RegisterDecorator("dune_rl.learning.registry:ALGORITHMS")

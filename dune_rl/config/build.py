@@ -18,6 +18,7 @@ from dune_rl.config.group_files import read_group_files
 from dune_rl.config.schema import EnvConf, SingleAgentConf
 from dune_rl.env.agent_group import GroupSetup
 from dune_rl.env.arguments import check_whole
+from dune_rl.env.curriculum import CurriculumConf
 from dune_rl.env.domain_randomizer import DomainRandomizer
 from dune_rl.env.gymnasium import GymnasiumEnv
 from dune_rl.env.gymnasium_vector import GymnasiumVectorEnv
@@ -51,6 +52,7 @@ def make_simulation(
     make_world: Callable[[WorldSettings], World] | None = None,
     prepare: Callable[[Sequence[WorldSettings]], None] | None = None,
     plan: EpisodePlan | None = None,
+    curriculum: CurriculumConf | None = None,
 ) -> VectorSimulation:
     """The simulation of `num_scenes` scenes; raises `WorldError` if no start or goal can be found.
 
@@ -75,10 +77,19 @@ def make_simulation(
         make_scene=scene_maker(conf.physics.backend),
         physics=conf.physics,
         weather=conf.weather,
-        randomizer=DomainRandomizer(conf.world, conf.weather, conf.randomisation, make_world, prepare, plan),
+        randomizer=DomainRandomizer(
+            conf.world,
+            conf.weather,
+            conf.randomisation,
+            make_world,
+            prepare,
+            plan,
+            easiest=None if curriculum is None else curriculum.easiest,
+        ),
         num_scenes=num_scenes,
         seed=seed,
         plan=plan,
+        curriculum=curriculum,
     )
 
 
@@ -140,25 +151,36 @@ def prepare_worlds(confs: Iterable[WorldSettings], *, with_appearance: bool = Fa
 
 
 def make_torchrl_env(
-    conf: EnvConf, num_scenes: int, seed: int, flatten: bool = False, plan: EpisodePlan | None = None
+    conf: EnvConf,
+    num_scenes: int,
+    seed: int,
+    flatten: bool = False,
+    plan: EpisodePlan | None = None,
+    curriculum: CurriculumConf | None = None,
 ) -> DuneEnv:
     """A TorchRL environment of batch size (num_scenes,)."""
     from dune_rl.env.torchrl import DuneEnv
 
-    env = DuneEnv(make_simulation(conf, num_scenes, seed, plan=plan), flatten=flatten)
-    env.remake = partial(make_torchrl_env, conf, num_scenes, seed, flatten, plan)
+    simulation = make_simulation(conf, num_scenes, seed, plan=plan, curriculum=curriculum)
+    env = DuneEnv(simulation, flatten=flatten)
+    env.remake = partial(make_torchrl_env, conf, num_scenes, seed, flatten, plan, curriculum)
     return env
 
 
 def make_learning_env(
-    conf: EnvConf, num_scenes: int, seed: int, plan: EpisodePlan | None = None
+    conf: EnvConf,
+    num_scenes: int,
+    seed: int,
+    plan: EpisodePlan | None = None,
+    curriculum: CurriculumConf | None = None,
 ) -> TransformedEnv:
     """A TorchRL environment with the metrics of its episodes, for training and evaluation."""
     from torchrl.envs import TransformedEnv
 
     from dune_rl.env.torchrl import EpisodeMetrics
 
-    return TransformedEnv(make_torchrl_env(conf, num_scenes, seed, plan=plan), EpisodeMetrics())
+    env = make_torchrl_env(conf, num_scenes, seed, plan=plan, curriculum=curriculum)
+    return TransformedEnv(env, EpisodeMetrics())
 
 
 def make_parallel_env(

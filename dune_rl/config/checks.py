@@ -16,6 +16,7 @@ from dune_rl.config.shorthands import SHORTHANDS
 from dune_rl.core.errors import ConfigError, DuneError
 from dune_rl.core.registry import Registry
 from dune_rl.core.suggestions import closest
+from dune_rl.env.curriculum import CURRICULA, CurriculumConf
 from dune_rl.learning.networks.registry import ENCODERS, EncoderConf
 from dune_rl.learning.registry import ALGORITHMS
 from dune_rl.learning.settings import LearningConf
@@ -44,6 +45,7 @@ _REGISTRIES: Mapping[type[BaseModel], Registry[Any]] = {
     MetricTermConf: METRICS,
     SpawnConf: START_SOURCES,
     MotionSettings: MOTION_MODELS,
+    CurriculumConf: CURRICULA,
 }
 _RANGES = {
     "greater_than_equal": ("ge", "at least"),

@@ -305,9 +305,18 @@ class Conf(EnvConf):
         return self
 
     @model_validator(mode="after")
-    def _objective_is_a_metric(self) -> Self:
+    def _measured_metrics_exist(self) -> Self:
         known = [] if self.driven_group.metrics is None else metric_names(self.driven_group.metrics)
-        if self.objective not in known:
-            remedy = advise(self.objective, known)
-            raise ValueError(f"objective: there is no metric {self.objective!r}; {remedy}")
+        curriculum = self.learning.curriculum
+        measured = {"objective": self.objective}
+        if curriculum is not None:
+            measured["learning.curriculum.measure"] = curriculum.measure
+        for setting, metric in measured.items():
+            if metric not in known:
+                raise ValueError(f"{setting}: there is no metric {metric!r}; {advise(metric, known)}")
+        drawn = list(self.randomisation.distributions)
+        for name in () if curriculum is None else curriculum.easiest:
+            if name not in drawn:
+                remedy = advise(name, drawn) if drawn else f"randomisation.{name} draws it"
+                raise ValueError(f"learning.curriculum.easiest.{name}: it is not drawn; {remedy}")
         return self

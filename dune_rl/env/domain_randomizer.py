@@ -1,11 +1,12 @@
 """Domain randomisation: world, weather, contacts and body of each episode, from (seed, episode) alone."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from functools import lru_cache
 from typing import Any
 
 from dune_rl.core.seeding import stream
+from dune_rl.env.distributions import Integers
 from dune_rl.env.randomisation import RANDOMISATIONS, RandomisationConf
 from dune_rl.env.randomised_properties import EpisodeVariation
 from dune_rl.env.requests import EpisodePlan
@@ -26,7 +27,8 @@ class DomainRandomizer:
     should give the same object while it is in use. `prepare` gets the settings
     of the next worlds, and may build these in the background. `names` are the
     sampled properties, in the order of `Values`. The world seeds of a `plan`
-    replace sampled ones.
+    replace sampled ones. `easiest` are the values of properties at a difficulty
+    of 0, from which they rise or fall linearly to the drawn ones.
     """
 
     def __init__(
@@ -37,7 +39,9 @@ class DomainRandomizer:
         make_world: Callable[[Any], World],
         prepare: Callable[[Sequence[Any]], None] | None = None,
         plan: EpisodePlan | None = None,
+        easiest: Mapping[str, float] | None = None,
     ) -> None:
+        self._easiest = dict(easiest or {})
         self._unvaried = EpisodeVariation(world_conf, weather)
         self._distributions = randomisation.distributions
         self._make_world, self._prepare = make_world, prepare
@@ -81,7 +85,7 @@ class DomainRandomizer:
         """World settings, weather, contacts, body and latency of an episode with sampled `values`."""
         return self._vary_once(tuple(values))
 
-    def draw(self, seed: int, episode: int, attempt: int = 0) -> Values:
+    def draw(self, seed: int, episode: int, attempt: int = 0, difficulty: float = 1.0) -> Values:
         """The values of an episode; a further `attempt` draws another world and leaves the rest alone."""
         values: list[float] = []
         for name in self.names:
@@ -92,8 +96,16 @@ class DomainRandomizer:
                 continue
             again = (attempt,) if attempt and "world" in self._changes[name] else ()
             rng = stream(seed, f"randomisation {_STREAMS.get(name, name)}", episode, *again)
-            values.append(self._distributions[name].draw(rng))
+            value = self._distributions[name].draw(rng)
+            if name in self._easiest and difficulty < 1.0:
+                value = self._eased(name, value, difficulty)
+            values.append(value)
         return tuple(values)
+
+    def _eased(self, name: str, value: float, difficulty: float) -> float:
+        easiest = self._easiest[name]
+        eased = easiest + difficulty * (value - easiest)
+        return float(round(eased)) if isinstance(self._distributions[name], Integers) else eased
 
     def world(self, conf: Any) -> World:
         """The world of `conf`; raises WorldError if it cannot be built."""

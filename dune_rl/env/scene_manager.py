@@ -87,14 +87,17 @@ class SceneManager:
 
     # -- a new episode ----------------------------------------------------------------------------
 
-    def enter(self, scene: int, seed: int, episode: int, check_room: RoomCheck) -> World:
+    def enter(
+        self, scene: int, seed: int, episode: int, check_room: RoomCheck, difficulty: float = 1.0
+    ) -> World:
         """Set world, weather and robot bodies of a scene for an episode; returns the world.
 
-        Raises `WorldError` if none of the drawn worlds has room.
+        `difficulty` is that of the episode's curriculum. Raises `WorldError` if none of the drawn worlds has
+        room.
         """
-        values = self.randomizer.draw(seed, episode)
+        values = self.randomizer.draw(seed, episode, difficulty=difficulty)
         if self.randomizer.randomizes_worlds:
-            values = self._enter_world(scene, seed, episode, check_room)
+            values = self._enter_world(scene, seed, episode, check_room, difficulty)
         elif self.values.shape[1]:
             self.worlds.put(scene, self._world, self.randomizer.variation(values).weather)
         self.values[scene] = values
@@ -103,9 +106,11 @@ class SceneManager:
                 robot.set_body(self.randomizer.variation(values).body)
         return self.worlds.worlds[scene]
 
-    def _enter_world(self, scene: int, seed: int, episode: int, check_room: RoomCheck) -> Values:
+    def _enter_world(
+        self, scene: int, seed: int, episode: int, check_room: RoomCheck, difficulty: float
+    ) -> Values:
         for attempt in range(_MAX_DRAWS):
-            values = self.randomizer.draw(seed, episode, attempt)
+            values = self.randomizer.draw(seed, episode, attempt, difficulty)
             conf = self.randomizer.variation(values).world
             try:
                 world = self._world_with_room(conf, check_room)

@@ -11,12 +11,14 @@ from dune_rl.env.agent_group import AgentGroup, GroupSetup, GroupStep
 from dune_rl.env.arguments import check_whole, group_actions
 from dune_rl.env.assembly import add_sensors, build_groups
 from dune_rl.env.body import SceneBodies
+from dune_rl.env.curriculum import Curriculum, CurriculumConf
 from dune_rl.env.domain_randomizer import DomainRandomizer
 from dune_rl.env.replay import ActionLog, RestoreError, check_arrival, state_digest
 from dune_rl.env.requests import EpisodePlan, EpisodeRequest, plain_request, request_from_plain
 from dune_rl.env.scene_manager import MakeScene, SceneManager, scene_rows
 from dune_rl.env.starts.episode_start import EpisodeStarter, kinematic_poses
 from dune_rl.env.starts.placement import admit_arrivals
+from dune_rl.env.starts.source import StartDraw
 from dune_rl.env.state_builder import StateBuilder
 from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.metrics.episode import MetricsConf, MetricSet
@@ -54,7 +56,8 @@ class VectorSimulation:
     in the same state. A scene's episode ends when all agents of the groups with terminations are done, or
     when physics diverges; where agents come and go, also when no external agent is left. `world` is the world
     of all scenes, unless `randomizer` draws worlds. A `plan` has the starts and goals of episodes in place of
-    sampled ones; its world seeds are the randomizer's.
+    sampled ones; its world seeds are the randomizer's. With a `curriculum` an episode also depends on the
+    level at its start, and so on the outcomes of earlier episodes.
     """
 
     def __init__(
@@ -70,6 +73,7 @@ class VectorSimulation:
         weather: WeatherConf = _CLEAR,
         randomizer: DomainRandomizer | None = None,
         plan: EpisodePlan | None = None,
+        curriculum: CurriculumConf | None = None,
     ) -> None:
         self.physics, self.weather, self.num_scenes = physics, weather, num_scenes
         self.randomizer = DomainRandomizer.none(world, weather) if randomizer is None else randomizer
@@ -96,6 +100,7 @@ class VectorSimulation:
         self._requests: dict[int, EpisodeRequest] = {}
         self._plan = plan
         self._refusal = _NOT_BEGUN
+        self.curriculum = Curriculum(curriculum, num_scenes)
         self.reseed(seed, first_episode)
 
     # -- contents ---------------------------------------------------------------------------------
@@ -142,6 +147,7 @@ class VectorSimulation:
         kept = {scene: request for scene, request in self._requests.items() if not mask[scene]}
         before = self._requests, self.episodes
         self._requests = {**kept, **(requests or {})}
+        self.curriculum.begin(mask)
         self.episodes = np.where(mask, self.episodes + self.num_scenes, self.episodes)
         try:
             self._start(mask)
@@ -161,8 +167,9 @@ class VectorSimulation:
             group.reset(scene_rows(mask, group.count))
         self.steps = np.where(mask, 0, self.steps)
         for scene in np.flatnonzero(mask).tolist():
-            episode = int(self.episodes[scene])
-            self._starter.start(scene, self.seed, episode, self._request(scene, episode))
+            episode, difficulty = int(self.episodes[scene]), float(self.curriculum.difficulty[scene])
+            draw = StartDraw(scene, self.seed, episode, difficulty=difficulty)
+            self._starter.start(draw, self._request(scene, episode))
         self.randomizer.prepare(self.seed, (self.episodes[mask] + self.num_scenes).tolist())
         for group in self.groups:
             group.read_start(scene_rows(mask, group.count), self.scenes.most_bodies)
@@ -208,10 +215,12 @@ class VectorSimulation:
         self.steps = self.steps + 1
         contacts = {group.name: group.body.read() for group in self.groups}
         if self._visiting:
-            admit_arrivals(self.groups, self.seed, self.episodes, self.steps)
+            difficulty = self.curriculum.difficulty
+            admit_arrivals(self.groups, self.seed, self.episodes, self.steps, difficulty)
         state = self._builder.build(self.seed, self.steps, contacts, self.scenes.count_statics)
         evaluated = {group.name: group.evaluate(state) for group in self.groups}
         terminated, truncated = self._scene_ends(state)
+        self.curriculum.end(terminated | truncated, self._outcomes)
         self.state = state = self._next_state(state, evaluated)
         for group in self.groups:
             group.sense(state)
@@ -271,6 +280,12 @@ class VectorSimulation:
         terminated = terminated & over
         return terminated, over & ~terminated
 
+    def _outcomes(self, metric: str) -> Array:
+        """Values (M,) of a metric of the present episodes: the mean over the agents of a group."""
+        group = next(each for each in self.external if metric in each.metric_names)
+        column = group.metric_names.index(metric)
+        return self.metrics(group.name)[..., column].mean(axis=1).astype(np.float64)
+
     def _all(self, group: AgentGroup, flags: Flags) -> Flags:
         """Flags (M,) of scenes in which `flags` (N,) are True for all of a group's agents."""
         if group.count == 1:
@@ -322,6 +337,7 @@ class VectorSimulation:
             "actions": self._log.plain(self.steps),
             "requests": {scene: plain_request(request) for scene, request in self._requests.items()},
             "digest": state_digest(self.state),
+            "curriculum": self.curriculum.state(),
         }
 
     def save_point(self) -> dict[str, Any]:
@@ -360,6 +376,7 @@ class VectorSimulation:
         self.episodes = np.array(saved["episodes"], np.int64)
         requests = saved.get("requests", {})
         self._requests = {int(scene): request_from_plain(plain) for scene, plain in requests.items()}
+        self.curriculum.restore(saved["curriculum"])
         lengths = np.array([len(actions) for actions in saved["actions"]])
         rows = self._log.aligned(saved["actions"])
         self._start(np.ones(self.num_scenes, bool))
@@ -377,6 +394,8 @@ class VectorSimulation:
             self.step(actions)
         if (lengths == 0).any():
             self._start(lengths == 0)
+        # Episodes that ended while these were repeated do not count.
+        self.curriculum.restore(saved["curriculum"])
         check_arrival(saved.get("digest"), self.state)
 
     def close(self) -> None:

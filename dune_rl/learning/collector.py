@@ -21,7 +21,8 @@ from dune_rl.learning.population import OpponentDraws, Population, PopulationPol
 from dune_rl.learning.settings import CollectorConf
 from dune_rl.learning.worker_monitor import WorkerMonitor
 
-MakeEnv = Callable[[int, int], EnvBase]
+# Of the number of scenes and a seed; with a curriculum, also of it, by its name.
+MakeEnv = Callable[..., EnvBase]
 
 
 def available_cores() -> int:

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from dune_rl.core.settings import Settings
+from dune_rl.env.curriculum import CurriculumSettings
 
 Width = Annotated[int, Field(ge=1, le=8192)]
 
@@ -66,7 +67,16 @@ class PopulationConf(Settings):
 # The key under `groups` of a policy's file, by which a group acts without learning.
 FROZEN = "frozen"
 # What a run has once, whatever its groups.
-_OF_THE_RUN = ("name", "threads", "collector", "evaluation", "checkpoint", "population", "groups")
+_OF_THE_RUN = (
+    "name",
+    "threads",
+    "collector",
+    "evaluation",
+    "checkpoint",
+    "population",
+    "curriculum",
+    "groups",
+)
 
 
 class LearningConf(Settings):
@@ -88,6 +98,9 @@ class LearningConf(Settings):
     evaluation: EvaluationConf = EvaluationConf()
     checkpoint: CheckpointConf = CheckpointConf()
     population: PopulationConf = PopulationConf()
+    curriculum: CurriculumSettings | None = Field(
+        None, description="difficulty of the training episodes; null: all as they are set"
+    )
     groups: dict[str, dict[str, Any]] = Field(default_factory=dict)
 
     @model_validator(mode="after")

@@ -14,6 +14,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
 from dune_rl.core.errors import DuneWarning, TrainingError
+from dune_rl.env.curriculum import CurriculumConf
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE, find_checkpoint_file, read_checkpoint_file
 from dune_rl.learning.collector import MakeEnv, TransitionCollector, learner_threads
 from dune_rl.learning.evaluation import EvaluationPictures
@@ -115,6 +116,7 @@ class Trainer:
         self._population = make_population(learning.population, self._learners)
         self.frames = 0
         self._next_save = learning.checkpoint.every_frames
+        self._level: float | None = None
         self._warmup = WarmUp(self._learners)
         self._status = RunStatus(self._reporter, self._evaluation, total_frames)
         if self._saved is None:
@@ -123,6 +125,7 @@ class Trainer:
             restore_learners(self._learners, self._saved["groups"], source, learning)
             counters = self._saved["counters"]
             self.frames, self._next_save = counters["frames"], counters["next_save"]
+            self._level = self._saved["collector"]["level"]
             self._evaluation.restore(counters)
             if self._population is not None and self._saved["population"] is not None:
                 self._population.restore(self._saved["population"])
@@ -225,6 +228,10 @@ class Trainer:
         self.frames += batch.numel()
         for group, learner in self._learners.items():
             learner.absorb(select_group(batch, group), self.frames)
+        if self._conf.curriculum is not None:
+            difficulty = float(batch["next", "difficulty"][..., -1, :].mean())
+            self._level = None if warmed_up else difficulty
+            self._log.scalars(None, {"curriculum/difficulty": difficulty}, self.frames)
         self._log.log_batch(batch, self.frames, self._updates, "warmup" if warmed_up else "train")
         for group, learner in self._learners.items():
             self._log.scalars(group, learner.update(), self.frames)
@@ -242,11 +249,14 @@ class Trainer:
         conf = self._conf.collector
         if first:
             conf = conf.model_copy(update={"mode": "serial"})
+        make_env = self._make_env
+        if self._conf.curriculum is not None:
+            make_env = partial(make_env, curriculum=self._curriculum_now(self._conf.curriculum))
         # New networks and first resets must not advance the random state: a resumed run repeats them.
         before = random_state() if self._saved is None else self._saved["random"]
         collector = TransitionCollector(
             conf,
-            self._make_env,
+            make_env,
             {**policies, **first},
             self._seed,
             frames=self.frames,
@@ -259,6 +269,10 @@ class Trainer:
         set_random_state(before)
         self._saved = None
         return collector
+
+    def _curriculum_now(self, conf: CurriculumConf) -> CurriculumConf:
+        """The curriculum from the level on that episodes have now: new processes begin with it."""
+        return conf if self._level is None else conf.model_copy(update={"start_level": self._level})
 
     def _report(self) -> None:
         speeds = self._status.report_batch(
@@ -299,6 +313,7 @@ class Trainer:
                 "scenes": conf.scenes,
                 "warming": self._warmup.stage,
                 "state": collector.state(),
+                "level": self._level,
             },
             "log": self._log.state(),
             "population": None if self._population is None else self._population.state(),

@@ -1,7 +1,9 @@
 """Start poses and goals of robots, sampled from the free space of a world."""
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -9,7 +11,7 @@ from pydantic import Field, model_validator
 
 from dune_rl.core.errors import WorldError
 from dune_rl.core.settings import Settings
-from dune_rl.geometry.arrays import Array, Flags
+from dune_rl.geometry.arrays import Array, Counts, Flags
 from dune_rl.tasks.spawned_body import SpawnedBody
 from dune_rl.worlds.free_space import FreeSpace
 from dune_rl.worlds.passage import water_depth
@@ -79,6 +81,7 @@ class Spawner:
         self._max_slope = np.deg2rad(conf.max_slope_deg)
         self.region: Rectangle = self._resolve_region()
         self._points_by_radius: dict[float, Array] = {}
+        self._most_goal_distance_m = np.inf
         # Whether some of the region is too deep below water, so that points must be looked at one by one.
         self._is_wet = False
         # Kept with the world, which other environments may be in, such as that of the evaluation.
@@ -189,6 +192,23 @@ class Spawner:
         """Centres (K, 2) [m] of the cells of `free_space` that starts and goals are drawn from."""
         return self._cells
 
+    @cached_property
+    def _diameter_m(self) -> float:
+        """The diagonal of the rectangle round all cells [m]."""
+        return float(np.hypot(*np.ptp(self._cells, axis=0)))
+
+    def eased(self, difficulty: float) -> "Spawner":
+        """The same with goals nearer to starts; `difficulty` in [0, 1], of which 1 changes nothing.
+
+        The largest distance of goals rises from the smallest one, and the size of two cells, linearly.
+        """
+        if difficulty >= 1.0:
+            return self
+        least = self._conf.min_goal_distance_m + 2 * self.free_space.cell_m
+        eased = copy(self)
+        eased._most_goal_distance_m = least + difficulty * max(0.0, self._diameter_m - least)
+        return eased
+
     def sample(
         self, rng: np.random.Generator, taken: Sequence[Placement] = (), apart_m: Sequence[float] = ()
     ) -> Placement:
@@ -209,9 +229,7 @@ class Spawner:
         far = np.flatnonzero(self._far(goals, cell))
         if not len(far):
             goals = cells
-            far = np.flatnonzero(self._far(goals, cell))
-            if not len(far):
-                raise WorldError(self._too_full(len(taken)))
+            far = self._far_or_nearest(goals, cell, len(taken))
             far = far[rng.integers(len(far), size=1)]
         centres = np.stack([cell, goals[far[0]]])
         points = np.where(self._fits(centres + moves)[:, None], centres + moves, centres)
@@ -246,8 +264,10 @@ class Spawner:
         points = np.concatenate([start[None], taken])
         needed = np.concatenate([[self._conf.min_goal_distance_m], apart_m])
         offset = goals[:, None] - points
-        excess: Array = (np.hypot(offset[..., 0], offset[..., 1]) - needed).min(axis=1)
-        return excess
+        distance = np.hypot(offset[..., 0], offset[..., 1])
+        excess: Array = (distance - needed).min(axis=1)
+        near: Array = np.minimum(excess, self._most_goal_distance_m - distance[:, 0])
+        return near
 
     def _away(self, cells: Array, points: Sequence[tuple[float, float]], apart_m: Sequence[float]) -> Array:
         free = np.ones(len(cells), bool)
@@ -293,8 +313,20 @@ class Spawner:
 
     def _far(self, goals: Array, start: Array) -> Flags:
         away = goals - start
-        far: Flags = np.hypot(away[..., 0], away[..., 1]) >= self._conf.min_goal_distance_m
+        distance = np.hypot(away[..., 0], away[..., 1])
+        far: Flags = (distance >= self._conf.min_goal_distance_m) & (distance <= self._most_goal_distance_m)
         return far
+
+    def _far_or_nearest(self, cells: Array, start: Array, others: int) -> Counts:
+        """Indices of the `cells` (K, 2) that are as far from `start` as goals are; else of the nearest one
+        that is far enough. Raises WorldError if none is.
+        """
+        distance = np.hypot(*(cells - start).T)
+        enough = distance >= self._conf.min_goal_distance_m
+        if not enough.any():
+            raise WorldError(self._too_full(others))
+        found = np.flatnonzero(enough & (distance <= self._most_goal_distance_m))
+        return found if len(found) else np.array([np.where(enough, distance, np.inf).argmin()])
 
     def _fits(self, xy: Array) -> Flags:
         clear = self._world.clearance(xy) >= self._footprint_radius_m + self._conf.margin_m

@@ -11,6 +11,7 @@ from typing import Any
 from dune_rl.behaviours.registry import BEHAVIOURS
 from dune_rl.bodies.motion import MOTION_MODELS
 from dune_rl.core.registry import Registry
+from dune_rl.env.curriculum import CURRICULA
 from dune_rl.env.randomisation import RANDOMISATIONS
 from dune_rl.learning.networks.registry import ENCODERS
 from dune_rl.learning.registry import ALGORITHMS
@@ -24,7 +25,7 @@ from dune_rl.worlds.registry import WORLDS
 REGISTRIES: tuple[Registry[Any], ...] = (
     *(WORLDS, ROBOTS, ENGINES, SENSORS, BEHAVIOURS, REWARDS, TERMINATIONS, METRICS, RANDOMISATIONS),
     *(ENCODERS, ALGORITHMS),
-    *(START_SOURCES, MOTION_MODELS),
+    *(START_SOURCES, MOTION_MODELS, CURRICULA),
 )
 _SHOWN_FILE = re.compile(r"^```\w+\n# ([\w/.]+)\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
 # Hydra wants the package in the first line.

@@ -9,6 +9,7 @@ from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.requests import EpisodeRequest
 from dune_rl.env.scene_manager import SceneManager
 from dune_rl.env.starts.placement import check_all, check_counts, check_places, place_agents, prepare_starts
+from dune_rl.env.starts.source import StartDraw
 from dune_rl.geometry.arrays import Array
 from dune_rl.worlds.world import World
 
@@ -39,14 +40,15 @@ class EpisodeStarter:
         """Find paths of `world` with another `seed`, and drop those of all worlds."""
         check_all([partial(group.starts.replan, world, seed) for group in self._groups])
 
-    def start(self, scene: int, seed: int, episode: int, request: EpisodeRequest) -> None:
+    def start(self, draw: StartDraw, request: EpisodeRequest) -> None:
         """Start an episode in a scene; raises `WorldError` if there is no room.
 
         `request` has starts and goals of robots in place of sampled ones; raises ValueError if they are not
         free, or not of robots.
         """
         scenes, groups = self._scenes, self._groups
-        world = scenes.enter(scene, seed, episode, partial(prepare_starts, groups, seed))
+        scene, seed, episode = draw.scene, draw.seed, draw.episode
+        world = scenes.enter(scene, seed, episode, partial(prepare_starts, groups, seed), draw.difficulty)
         if scenes.randomizer.randomizes_worlds:
             used = scenes.used_worlds()
             for group in groups:
@@ -55,7 +57,7 @@ class EpisodeStarter:
             group.body.bind(scene, scenes.physics(scene))
             if group.presence is not None:
                 group.presence.begin(scene, seed, episode)
-        place_agents(groups, scene, world, seed, episode, request)
+        place_agents(groups, draw, world, request)
         scenes.reset(scene, kinematic_poses(self._kinematic, len(scenes.worlds))[scene])
         variation = scenes.randomizer.variation(scenes.values[scene])
         for group in groups:

@@ -11,7 +11,7 @@ from dune_rl.core.errors import WorldError
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.requests import EpisodeRequest
 from dune_rl.env.starts.source import StartDraw, Taken, TakenPlaces
-from dune_rl.geometry.arrays import Counts
+from dune_rl.geometry.arrays import Array, Counts
 from dune_rl.tasks.spawn import Placement
 from dune_rl.worlds.walkable_points import PointWords, TerrainLimits, check_points
 from dune_rl.worlds.world import World
@@ -71,7 +71,7 @@ def fixed_starts(groups: Sequence[AgentGroup], world: World) -> list[Taken]:
 
 
 def place_agents(
-    groups: Sequence[AgentGroup], scene: int, world: World, seed: int, episode: int, request: EpisodeRequest
+    groups: Sequence[AgentGroup], draw: StartDraw, world: World, request: EpisodeRequest
 ) -> None:
     """Place the bodies of a scene for an episode.
 
@@ -84,7 +84,7 @@ def place_agents(
         raise ValueError(f"{', '.join(others)}: only robots start and go where they are told")
     taken = TakenPlaces(fixed_starts(groups, world))
     for _, ranked in groupby(in_order(groups), key=_rank):
-        _place_together(list(ranked), StartDraw(scene, seed, episode), taken, request)
+        _place_together(list(ranked), draw, taken, request)
 
 
 def draw_starts(groups: Sequence[AgentGroup], world: World, seed: int, episode: int) -> list[Placement]:
@@ -156,8 +156,12 @@ def _try_placing(
     return placed
 
 
-def admit_arrivals(groups: Sequence[AgentGroup], seed: int, episodes: Counts, steps: Counts) -> None:
+def admit_arrivals(
+    groups: Sequence[AgentGroup], seed: int, episodes: Counts, steps: Counts, difficulty: Array
+) -> None:
     """Place the agents that are due after a control step; `episodes` and `steps` (M,) are the scenes'.
+
+    `difficulty` (M,) is that of the episodes' curriculum.
 
     An agent comes at rest, and acts from the next step on. Where one of a group finds no room, the others of
     its group in that scene wait, too.
@@ -168,7 +172,7 @@ def admit_arrivals(groups: Sequence[AgentGroup], seed: int, episodes: Counts, st
             scene, agent = divmod(row, group.count)
             if scene in full:
                 continue
-            draw = StartDraw(scene, seed, int(episodes[scene]))
+            draw = StartDraw(scene, seed, int(episodes[scene]), difficulty=float(difficulty[scene]))
             pose = group.starts.admit(draw, agent, _taken_now(groups, scene))
             if pose is None:
                 full.add(scene)

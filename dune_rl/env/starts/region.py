@@ -95,6 +95,7 @@ class RegionStarts:
         rows = len(context.worlds) * self._count
         self.goals_w = np.zeros((rows, 2))
         self._draws: list[np.random.Generator | None] = [None] * rows
+        self._difficulty = np.ones(len(context.worlds))
 
     # -- drawing ----------------------------------------------------------------------------------
 
@@ -122,6 +123,10 @@ class RegionStarts:
         except WorldError as error:
             name = self._context.name
             raise WorldError(f"{name} (count {self._count}): {error}" if name else str(error)) from None
+
+    def _spawner(self, scene: int) -> Spawner:
+        """The spawner of a scene's world, for the difficulty of its episode."""
+        return self._spawners.of_scene(scene).eased(float(self._difficulty[scene]))
 
     def _stream(self, draw: StartDraw, agent: int) -> np.random.Generator:
         again = (draw.attempt,) if draw.attempt else ()
@@ -153,12 +158,13 @@ class RegionStarts:
     def place(self, draw: StartDraw, agents: Sequence[int], taken: TakenPlaces, asked: Asked) -> Array:
         """Sample starts and goals of a scene's `agents`; see `StartSource.place`."""
         poses, scene = np.zeros((len(agents), 4)), draw.scene
+        self._difficulty[scene] = draw.difficulty
         for index, agent in enumerate(agents):
             row = scene * self._count + agent
             request = asked.get(agent, AgentRequest())
             self._draws[row] = draws = self._stream(draw, agent)
             avoided = () if request.start is not None else taken.placements
-            placement = self._sample(self._spawners.of_scene(scene), draws, avoided)
+            placement = self._sample(self._spawner(scene), draws, avoided)
             if agent in asked:
                 placement = self._move(scene, agent, draws, request, placement)
             self.set_goals(np.array([row]), np.array([placement.goal_x, placement.goal_y]))
@@ -175,7 +181,7 @@ class RegionStarts:
         Without a goal, it is drawn anew, at the usual distance from the new start. It is not checked that a
         way leads from a given start to a given goal.
         """
-        spawner, placement = self._spawners.of_scene(scene), asked.applied(sampled)
+        spawner, placement = self._spawner(scene), asked.applied(sampled)
         if asked.goal is None:
             start = np.array([placement.x, placement.y])
             goal_x, goal_y = self.draw_goal(spawner, draws, start, np.zeros((0, 2)), np.zeros(0))
@@ -224,7 +230,7 @@ class RegionStarts:
             draws = self._draws[row]
             assert draws is not None, "an agent is placed before its goal is renewed"
             taken, apart_m = self._taken_by_others(row, goals_w)
-            spawner = self._spawners.of_scene(row // self._count)
+            spawner = self._spawner(row // self._count)
             goals_w[row] = self.draw_goal(spawner, draws, position_w[row, :2], taken, apart_m)
         self.goals_w = goals_w
 

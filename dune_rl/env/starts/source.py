@@ -19,12 +19,16 @@ Taken = tuple[Placement, float]
 
 
 class StartDraw(NamedTuple):
-    """Which starts are drawn: of a scene's episode of a seed; another `attempt` draws anew."""
+    """Which starts are drawn: of a scene's episode of a seed; another `attempt` draws anew.
+
+    `difficulty` in [0, 1] is that of the episode's curriculum.
+    """
 
     scene: int
     seed: int
     episode: int
     attempt: int = 0
+    difficulty: float = 1.0
 
 
 @dataclass
