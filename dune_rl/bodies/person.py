@@ -1,5 +1,6 @@
 """Persons on foot: capsules that walk as a unicycle does, or figures with head, arms and legs."""
 
+from dataclasses import replace
 from typing import ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
@@ -7,12 +8,10 @@ from pydantic import Field, model_validator
 
 from dune_rl.bodies.motion import MotionLimits
 from dune_rl.bodies.settings import BodySettings
-from dune_rl.bodies.solids import Colour, at, ball, box, disc, tube, union
-from dune_rl.geometry.arrays import Array, Floats
+from dune_rl.bodies.solids import Colour, at, ball, box, disc, rod, tube
 from dune_rl.physics.shapes import KinematicCapsule
 from dune_rl.rendering.light import srgb_to_linear
-from dune_rl.rendering.scenery import ColouredMesh, Segment
-from dune_rl.state.sensor_carrier import SensorCarrier
+from dune_rl.rendering.scenery import ColouredMesh, Segment, join_meshes
 
 _SIDES = 24
 # Upper ends of the clothes as shares of the height, and their colours (sRGB).
@@ -49,6 +48,7 @@ class PersonConf(BodySettings):
     clothes: Literal["alike", "mixed"] = "alike"
 
     kind: ClassVar[str] = "person"
+    camera_height: ClassVar[float] = 0.93
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -71,7 +71,7 @@ class PersonConf(BodySettings):
     @property
     def num_looks(self) -> int:
         """Number of outfits."""
-        return 1 if self.clothes == "alike" else NUM_OUTFITS
+        return 1 if self.clothes == "alike" else len(_MIXED)
 
     @property
     def is_round(self) -> bool:
@@ -91,15 +91,6 @@ class PersonConf(BodySettings):
         """The capsule that physics moves, called `name`."""
         return KinematicCapsule(name, self.radius_m, self.height_m, self.max_push_n)
 
-    def carrier(self) -> SensorCarrier:
-        """The person as a carrier of sensors: scanners at the hip, a camera at the eyes."""
-        return SensorCarrier(
-            scanner_b=(0.0, 0.0, 0.55 * self.height_m),
-            camera_b=(0.0, 0.0, 0.93 * self.height_m),
-            imu_b=(0.0, 0.0, 0.55 * self.height_m),
-            max_speed_mps=self.speed_mps,
-        )
-
     def picture(self, phase: float) -> ColouredMesh:
         """The person at a phase of its stride, in the first outfit."""
         return self.look(0, phase)
@@ -108,7 +99,7 @@ class PersonConf(BodySettings):
         """The person in an outfit, at a phase of its stride; a pillar looks the same at each."""
         if self.looks == "pillar":
             return _capsule_in_clothes(self.radius_m, self.height_m)
-        return draw_person(self, phase, number)
+        return _figure(self, phase, _MIXED[number] if self.clothes == "mixed" else None)
 
 
 class ChildConf(PersonConf):
@@ -136,19 +127,10 @@ def _capsule_in_clothes(radius_m: float, height_m: float) -> ColouredMesh:
     upper = np.column_stack([round_end[::-1, 0], height_m - round_end[::-1, 1]])
     mesh = trimesh.creation.revolve(np.concatenate([round_end, sides, upper]), sections=_SIDES)
     middle = mesh.triangles_center[:, 2] / height_m
-    return ColouredMesh(
-        mesh.vertices,
-        mesh.faces.astype(np.int32),
-        _clothes_colour(middle),
-        np.full(len(mesh.faces), Segment.ACTOR, np.uint8),
-    )
-
-
-def _clothes_colour(share: Array) -> Floats:
-    """Linear RGB (F, 3) at shares (F,) of the height."""
-    tops = np.array([top for top, _ in _CLOTHES])
-    colours = srgb_to_linear(np.array([colour for _, colour in _CLOTHES]))
-    return colours[np.minimum(np.searchsorted(tops, share), len(tops) - 1)]
+    clothes = np.searchsorted([top for top, _ in _CLOTHES], middle).clip(max=len(_CLOTHES) - 1)
+    colours = srgb_to_linear(np.array([colour for _, colour in _CLOTHES]))[clothes]
+    segments = np.full(len(mesh.faces), Segment.ACTOR, np.uint8)
+    return ColouredMesh(mesh.vertices, mesh.faces.astype(np.int32), colours, segments)
 
 
 _EYES = (0.06, 0.05, 0.05)
@@ -170,77 +152,44 @@ _WORK = Outfit((0.93, 0.45, 0.10), (0.90, 0.92, 0.86), (0.16, 0.20, 0.34), hat=(
 _CHILD = Outfit((0.80, 0.12, 0.20), (0.95, 0.85, 0.30), (0.20, 0.38, 0.60))
 _MIXED = (
     Outfit((0.16, 0.32, 0.55), (0.13, 0.26, 0.46), (0.22, 0.22, 0.24)),
-    Outfit(
-        (0.72, 0.70, 0.64), (0.60, 0.58, 0.53), (0.20, 0.27, 0.40), (0.42, 0.28, 0.20), (0.07, 0.06, 0.06)
-    ),
-    Outfit(
-        (0.55, 0.13, 0.16), (0.45, 0.10, 0.13), (0.72, 0.65, 0.50), (0.86, 0.68, 0.57), (0.55, 0.38, 0.18)
-    ),
-    Outfit(
-        (0.23, 0.42, 0.26), (0.19, 0.34, 0.22), (0.30, 0.24, 0.18), (0.60, 0.42, 0.30), (0.10, 0.08, 0.07)
-    ),
-    Outfit(
-        (0.86, 0.83, 0.78), (0.86, 0.83, 0.78), (0.13, 0.15, 0.20), (0.33, 0.22, 0.16), (0.05, 0.05, 0.05)
-    ),
-    Outfit(
-        (0.80, 0.62, 0.18), (0.66, 0.50, 0.14), (0.35, 0.38, 0.42), (0.88, 0.72, 0.62), (0.42, 0.25, 0.13)
-    ),
-)
-# How many outfits people in mixed clothes have.
-NUM_OUTFITS = len(_MIXED)
+    Outfit((0.72, 0.70, 0.64), (0.60, 0.58, 0.53), (0.20, 0.27, 0.40), (0.42, 0.28, 0.2), (0.07, 0.06, 0.06)),
+    Outfit((0.55, 0.13, 0.16), (0.45, 0.10, 0.13), (0.72, 0.65, 0.5), (0.86, 0.68, 0.57), (0.55, 0.38, 0.18)),
+    Outfit((0.23, 0.42, 0.26), (0.19, 0.34, 0.22), (0.3, 0.24, 0.18), (0.6, 0.42, 0.3), (0.10, 0.08, 0.07)),
+    Outfit((0.86, 0.83, 0.78), (0.86, 0.83, 0.78), (0.13, 0.15, 0.2), (0.33, 0.22, 0.16), (0.05, 0.05, 0.05)),
+    Outfit((0.8, 0.62, 0.18), (0.66, 0.50, 0.14), (0.35, 0.38, 0.42), (0.88, 0.72, 0.62), (0.42, 0.25, 0.13)),
+)  # fmt: skip
 # Largest angles of thighs, shins and arms in a stride [rad].
 _THIGH, _KNEE, _ARM = 0.45, 0.75, 0.40
 
 
-def draw_person(conf: PersonConf, phase: float, look: int = 0) -> ColouredMesh:
-    """A person at a phase in [0, 1): an adult, in a vest and a hard hat unless clothes are mixed, or a child.
-
-    `look` is the number of the outfit of mixed clothes.
-    """
+def _figure(conf: PersonConf, phase: float, outfit: Outfit | None) -> ColouredMesh:
+    """A person at a phase in [0, 1): without `outfit` an adult in a vest and a hard hat, or a child."""
     is_child = conf.height_m < 1.4
-    alike = _CHILD if is_child else _WORK
-    clothes = _MIXED[look] if conf.clothes == "mixed" else alike
+    clothes = outfit or (_CHILD if is_child else _WORK)
     head = 0.105 if is_child else 0.075
     tall = conf.height_m
     wide = min(conf.radius_m, 0.16 * tall)
     hip, shoulder = 0.50 * tall, (0.76 if is_child else 0.80) * tall
+
+    def column(rings: list[tuple[float, float, float]], colour: Colour) -> ColouredMesh:
+        """Upright, through rings at a height, with half-axes in units of `wide`."""
+        return tube(
+            [((0, 0, z), aside, ahead) for z, aside, ahead in rings], colour, 10, wide=wide, high=wide
+        )
+
+    chest = [
+        (hip + 0.03 * tall, 0.62, 0.42), (hip + 0.12 * tall, 0.62, 0.42),
+        (shoulder - 0.06 * tall, 0.72, 0.46), (shoulder, 0.60, 0.36), (shoulder + 0.025 * tall, 0.25, 0.22),
+    ]  # fmt: skip
+    nose = (head * tall, 0, tall * (1 - 1.25 * head))
+    crown = (-0.004 * tall if not is_child else -0.016 * tall, 0, tall * (1 - 0.72 * head))
+    hair = (1.06 * head * tall, 0.92 * head * tall, 0.83 * head * tall)
     parts = [
-        # Pelvis, chest and the bands of the vest.
-        tube(
-            [
-                ((0, 0, hip - 0.04 * tall), 0.55 * wide, 0.34 * wide),
-                ((0, 0, hip + 0.05 * tall), 0.60 * wide, 0.38 * wide),
-            ],
-            clothes.trousers,
-            10,
-        ),
-        tube(
-            [
-                ((0, 0, hip + 0.03 * tall), 0.62 * wide, 0.42 * wide),
-                ((0, 0, hip + 0.12 * tall), 0.62 * wide, 0.42 * wide),
-                ((0, 0, shoulder - 0.06 * tall), 0.72 * wide, 0.46 * wide),
-                ((0, 0, shoulder), 0.60 * wide, 0.36 * wide),
-                ((0, 0, shoulder + 0.025 * tall), 0.25 * wide, 0.22 * wide),
-            ],
-            clothes.coat,
-            10,
-        ),
-        tube(
-            [
-                ((0, 0, hip + 0.10 * tall), 0.645 * wide, 0.445 * wide),
-                ((0, 0, hip + 0.125 * tall), 0.645 * wide, 0.445 * wide),
-            ],
-            clothes.band,
-            10,
-        ),
-        tube(
-            [
-                ((0, 0, shoulder), 0.2 * wide, 0.2 * wide),
-                ((0, 0, shoulder + 0.06 * tall), 0.2 * wide, 0.2 * wide),
-            ],
-            clothes.skin,
-            6,
-        ),
+        # Pelvis, chest, the bands of the vest, and the neck.
+        column([(hip - 0.04 * tall, 0.55, 0.34), (hip + 0.05 * tall, 0.60, 0.38)], clothes.trousers),
+        column(chest, clothes.coat),
+        column([(hip + 0.10 * tall, 0.645, 0.445), (hip + 0.125 * tall, 0.645, 0.445)], clothes.band),
+        rod((0, 0, shoulder), (0, 0, shoulder + 0.06 * tall), 0.2 * wide, clothes.skin),
         ball(
             (0.01 * tall, 0, tall * (1 - 1.1 * head)),
             (0.95 * head * tall, 0.8 * head * tall, 1.1 * head * tall),
@@ -252,38 +201,19 @@ def draw_person(conf: PersonConf, phase: float, look: int = 0) -> ColouredMesh:
             ball((0.84 * head * tall, y * head * tall, tall * (1 - head)), (0.010 * tall,) * 3, _EYES, 5, 3)
             for y in (-0.34, 0.34)
         ),
-        box(
-            (head * tall, 0, tall * (1 - 1.25 * head)),
-            (0.03 * tall, 0.016 * tall, 0.025 * tall),
-            clothes.skin,
-        ),
+        box(nose, (0.03 * tall, 0.016 * tall, 0.025 * tall), clothes.skin),
+        ball(crown, hair, clothes.hat or clothes.hair, 10, 5),
     ]
-    crown = (-0.004 * tall if not is_child else -0.016 * tall, 0, tall * (1 - 0.72 * head))
-    parts.append(
-        ball(
-            crown,
-            (1.06 * head * tall, 0.92 * head * tall, 0.83 * head * tall),
-            clothes.hat or clothes.hair,
-            10,
-            5,
-        )
-    )
     if clothes.hat is not None:
-        parts.append(
-            disc(
-                (0.015 * tall, 0, tall * (1 - 0.85 * head)),
-                1.25 * head * tall,
-                0.012 * tall,
-                clothes.hat,
-                12,
-                2,
-            )
-        )
+        brim = (0.015 * tall, 0, tall * (1 - 0.85 * head))
+        parts.append(disc(brim, 1.25 * head * tall, 0.012 * tall, clothes.hat, 12, 2))
     swing = np.sin(2 * np.pi * phase)
     for side in (-1.0, 1.0):
         parts += _leg(side * swing, side * np.cos(2 * np.pi * phase), side, tall, wide, hip, clothes.trousers)
         parts += _arm(-side * swing, side, tall, wide, shoulder, clothes)
-    return _on_ground(union(parts))
+    mesh = join_meshes(parts)
+    # A foot is on the ground at every phase.
+    return replace(mesh, vertices=mesh.vertices - [0.0, 0.0, mesh.vertices[:, 2].min()])
 
 
 def _leg(
@@ -296,24 +226,14 @@ def _leg(
     top = np.array([0.0, side * 0.32 * wide, hip])
     middle = top + length * np.array([np.sin(thigh), 0.0, -np.cos(thigh)])
     foot = middle + length * np.array([np.sin(thigh - knee), 0.0, -np.cos(thigh - knee)])
-    toe = foot + 0.09 * tall * np.array([np.cos(thigh - knee), 0.0, np.sin(thigh - knee)])
-    heel = foot - 0.03 * tall * np.array([np.cos(thigh - knee), 0.0, np.sin(thigh - knee)])
+    along = np.array([np.cos(thigh - knee), 0.0, np.sin(thigh - knee)])
+    toe, heel = foot + 0.09 * tall * along, foot - 0.03 * tall * along
     thick = 0.32 * wide
+    leg = [(top, 1.0, 1.0), (middle, 0.72, 0.76), (foot, 0.5, 0.55)]
+    shoe = [(heel, 0.5, 0.5), (foot + at(0, 0, 0.005), 0.55, 0.55), (toe, 0.48, 0.28)]
     return [
-        tube(
-            [(top, thick, thick), (middle, 0.72 * thick, 0.76 * thick), (foot, 0.5 * thick, 0.55 * thick)],
-            colour,
-            7,
-        ),
-        tube(
-            [
-                (heel, 0.5 * thick, 0.5 * thick),
-                (foot + at(0, 0, 0.005), 0.55 * thick, 0.55 * thick),
-                (toe, 0.48 * thick, 0.28 * thick),
-            ],
-            _SHOES,
-            6,
-        ),
+        tube(leg, colour, 7, wide=thick, high=thick),
+        tube(shoe, _SHOES, 6, wide=thick, high=thick),
     ]
 
 
@@ -328,19 +248,9 @@ def _arm(
     elbow = top + np.array([length * np.sin(angle), 0.35 * out, -length * np.cos(angle)])
     hand = elbow + 0.95 * length * np.array([np.sin(angle + bend), 0.0, -np.cos(angle + bend)])
     thick = 0.19 * wide
+    arm = [(top, 1.0, 1.0), (elbow, 0.85, 0.85), (hand, 0.65, 0.65)]
+    palm = hand + at(0.0, 0.0, -0.012 * tall)
     return [
-        tube(
-            [(top, thick, thick), (elbow, 0.85 * thick, 0.85 * thick), (hand, 0.65 * thick, 0.65 * thick)],
-            clothes.coat,
-            6,
-        ),
-        ball(
-            hand + at(0.0, 0.0, -0.012 * tall), (0.85 * thick, 0.7 * thick, 1.1 * thick), clothes.skin, 6, 3
-        ),
+        tube(arm, clothes.coat, 6, wide=thick, high=thick),
+        ball(palm, (0.85 * thick, 0.7 * thick, 1.1 * thick), clothes.skin, 6, 3),
     ]
-
-
-def _on_ground(mesh: ColouredMesh) -> ColouredMesh:
-    """The mesh moved up or down so that its lowest point is on the ground: a foot is, at every phase."""
-    vertices = mesh.vertices - [0.0, 0.0, mesh.vertices[:, 2].min()]
-    return ColouredMesh(vertices, mesh.faces, mesh.albedo, mesh.segments)

@@ -6,26 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from dune_rl.bodies.fields import (
-    Acceleration,
-    Braking,
-    Clearance,
-    Depth,
-    Height,
-    Length,
-    Overhang,
-    Push,
-    Reverse,
-    Slope,
-    Speed,
-    Stride,
-    Track,
-    TurningCircle,
-    TurnRate,
-    Wheelbase,
-    WheelRadius,
-    Width,
-)
+from dune_rl.bodies import fields
 from dune_rl.bodies.motion import Motion, MotionLimits, MotionModelName
 from dune_rl.core.settings import Settings
 from dune_rl.geometry.arrays import Array
@@ -54,14 +35,16 @@ class BodySettings(Settings):
     """
 
     name: str
-    speed_mps: Speed = 1.0
-    max_push_n: Push = 250.0
-    max_slope_deg: Slope = 90.0
-    max_water_m: Depth = 100.0
+    speed_mps: fields.Speed = 1.0
+    max_push_n: fields.Push = 250.0
+    max_slope_deg: fields.Slope = 90.0
+    max_water_m: fields.Depth = 100.0
     motion: Motion | None = None
 
     kind: ClassVar[str] = "body"
     motion_model: ClassVar[MotionModelName] = "unicycle"
+    # Height of a camera over that of the body.
+    camera_height: ClassVar[float] = 0.9
 
     @property
     def size_m(self) -> tuple[float, float, float]:
@@ -129,11 +112,11 @@ class BodySettings(Settings):
         return KinematicBox(name, length, width, height, max_push_n=self.max_push_n)
 
     def carrier(self) -> SensorCarrier:
-        """The body as a carrier of sensors: scanners at half its height, a camera in front."""
+        """The body as a carrier of sensors: scanners at half its height, a camera in front or at the eyes."""
         length, _, height = self.size_m
         return SensorCarrier(
             scanner_b=(0.0, 0.0, 0.55 * height),
-            camera_b=(0.0 if self.is_round else 0.4 * length, 0.0, 0.9 * height),
+            camera_b=(0.0 if self.is_round else 0.4 * length, 0.0, self.camera_height * height),
             imu_b=(0.0, 0.0, 0.55 * height),
             max_speed_mps=self.speed_mps,
         )
@@ -161,9 +144,9 @@ def pictures_of(body: BodySettings) -> tuple[ColouredMesh, ...]:
 class RectangularBody(BodySettings):
     """A body that is longer than wide, with a rectangular outline."""
 
-    length_m: Length
-    width_m: Width
-    height_m: Height
+    length_m: fields.Length
+    width_m: fields.Width
+    height_m: fields.Height
 
     @property
     def size_m(self) -> tuple[float, float, float]:
@@ -179,15 +162,15 @@ class Vehicle(RectangularBody):
     rear axle.
     """
 
-    wheelbase_m: Wheelbase
-    track_m: Track
-    wheel_radius_m: WheelRadius
-    overhang_m: Overhang
-    turning_circle_m: TurningCircle
-    clearance_m: Clearance
-    acceleration_mps2: Acceleration
-    braking_mps2: Braking
-    reverse_mps: Reverse = 1.0
+    wheelbase_m: fields.Wheelbase
+    track_m: fields.Track
+    wheel_radius_m: fields.WheelRadius
+    overhang_m: fields.Overhang
+    turning_circle_m: fields.TurningCircle
+    clearance_m: fields.Clearance
+    acceleration_mps2: fields.Acceleration
+    braking_mps2: fields.Braking
+    reverse_mps: fields.Reverse = 1.0
 
     kind: ClassVar[str] = "vehicle"
     motion_model: ClassVar[MotionModelName] = "bicycle"
@@ -228,9 +211,9 @@ class Vehicle(RectangularBody):
 class Quadruped(RectangularBody):
     """An animal on four legs, which turns on the spot and leans with the ground."""
 
-    max_turn_radps: TurnRate = 2.0
-    acceleration_mps2: Acceleration = 2.0
-    stride_m_per_m: Stride = 1.0
+    max_turn_radps: fields.TurnRate = 2.0
+    acceleration_mps2: fields.Acceleration = 2.0
+    stride_m_per_m: fields.Stride = 1.0
 
     kind: ClassVar[str] = "animal"
 

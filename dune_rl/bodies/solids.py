@@ -4,6 +4,7 @@ All have outward faces. Angles are in radians, lengths in metres, x forward, y l
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,6 +14,8 @@ from dune_rl.rendering.light import srgb_to_linear
 from dune_rl.rendering.scenery import ColouredMesh, Segment, join_meshes
 
 Colour = tuple[float, float, float]
+# Centre (3,) of a tube's ring, and its half-axes across and upward.
+Ring = tuple[ArrayLike, float, float]
 
 
 def at(x: float, y: float, z: float) -> Array:
@@ -25,11 +28,6 @@ def solid(vertices: ArrayLike, faces: ArrayLike, colour: Colour) -> ColouredMesh
     points, triangles = np.asarray(vertices, np.float64), np.asarray(faces, np.int32)
     albedo = np.tile(srgb_to_linear(np.array(colour)).astype(np.float32), (len(triangles), 1))
     return ColouredMesh(points, triangles, albedo, np.full(len(triangles), Segment.ACTOR, np.uint8))
-
-
-def union(parts: Sequence[ColouredMesh]) -> ColouredMesh:
-    """All parts as one mesh."""
-    return join_meshes(list(parts))
 
 
 def box(
@@ -63,15 +61,45 @@ def prism(
     return solid(np.concatenate([right, left]), np.concatenate([fan, fan[:, ::-1] + count, sides]), colour)
 
 
+def _loft(rings: Array, ends: ArrayLike, colour: Colour) -> ColouredMesh:
+    """A closed surface through rings (R, S, 3), with a point (2, 3) in the middle of each end."""
+    count, sides, _ = rings.shape
+    here, there = np.arange(sides), np.roll(np.arange(sides), -1)
+    faces = []
+    for low in sides * np.arange(count - 1):
+        high = low + sides
+        faces += [
+            np.column_stack([low + here, low + there, high + there]),
+            np.column_stack([low + here, high + there, high + here]),
+        ]
+    first, last = np.full(sides, count * sides), (count - 1) * sides
+    faces += [
+        np.column_stack([first, there, here]),
+        np.column_stack([first + 1, last + here, last + there]),
+    ]
+    mesh = solid(np.concatenate([*rings, ends]), np.concatenate(faces), colour)
+    # Outward, as a whole.
+    a, b, c = np.moveaxis(mesh.vertices[mesh.faces] - mesh.vertices.mean(axis=0), 1, 0)
+    inside_out = np.einsum("ij,ij->i", a, np.cross(b, c)).sum() <= 0
+    return replace(mesh, faces=np.ascontiguousarray(mesh.faces[:, ::-1])) if inside_out else mesh
+
+
 def tube(
-    rings: Sequence[tuple[ArrayLike, float, float]], colour: Colour, sides: int = 8, refine: int = 1
+    rings: Sequence[Ring],
+    colour: Colour,
+    sides: int = 8,
+    refine: int = 1,
+    wide: float = 1.0,
+    high: float = 1.0,
 ) -> ColouredMesh:
     """A tube with closed ends through `rings`: centres (3,) and half-axes across and upward, in their planes.
 
     Each ring is at right angles to the way from the one before it to the one after it. `refine` is the
-    number of parts that each piece between two rings is made of.
+    number of parts that each piece between two rings is made of. Half-axes are in units of `wide` and `high`.
     """
-    known = np.array([[*np.asarray(centre, np.float64), across, up] for centre, across, up in rings])
+    known = np.array(
+        [[*np.asarray(centre, np.float64), across * wide, up * high] for centre, across, up in rings]
+    )
     places = np.linspace(0.0, len(rings) - 1.0, refine * (len(rings) - 1) + 1)
     each = np.stack([np.interp(places, np.arange(len(rings)), column) for column in known.T], axis=1)
     centres = each[:, :3]
@@ -86,20 +114,12 @@ def tube(
         upward /= np.linalg.norm(upward)
         aside = np.cross(upward, way)
         points.append(centre + across * np.cos(angle)[:, None] * aside + up * np.sin(angle)[:, None] * upward)
-    vertices = np.concatenate([*points, centres[:1], centres[-1:]])
-    here, there = np.arange(sides), np.roll(np.arange(sides), -1)
-    faces = []
-    for ring in range(len(centres) - 1):
-        low, high = ring * sides, (ring + 1) * sides
-        faces += [
-            np.column_stack([low + here, low + there, high + there]),
-            np.column_stack([low + here, high + there, high + here]),
-        ]
-    first, last = len(vertices) - 2, len(vertices) - 1
-    end = (len(centres) - 1) * sides
-    faces.append(np.column_stack([np.full(sides, first), there, here]))
-    faces.append(np.column_stack([np.full(sides, last), end + here, end + there]))
-    return _outward(solid(vertices, np.concatenate(faces), colour))
+    return _loft(np.stack(points), [centres[0], centres[-1]], colour)
+
+
+def rod(start: ArrayLike, end: ArrayLike, radius: float, colour: Colour, sides: int = 6) -> ColouredMesh:
+    """A straight, round bar."""
+    return tube([(start, radius, radius), (end, radius, radius)], colour, sides)
 
 
 def ball(
@@ -114,19 +134,8 @@ def ball(
         )
         for h in heights
     ]
-    vertices = np.concatenate([*circles, [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]])
-    here, there = np.arange(sides), np.roll(np.arange(sides), -1)
-    faces = []
-    for ring in range(rings - 1):
-        low, high = ring * sides, (ring + 1) * sides
-        faces += [
-            np.column_stack([low + here, low + there, high + there]),
-            np.column_stack([low + here, high + there, high + here]),
-        ]
-    bottom, top, last = rings * sides, rings * sides + 1, (rings - 1) * sides
-    faces.append(np.column_stack([np.full(sides, bottom), there, here]))
-    faces.append(np.column_stack([np.full(sides, top), last + here, last + there]))
-    return solid(np.asarray(centre) + vertices * np.asarray(half_axes), np.concatenate(faces), colour)
+    axes, poles = np.asarray(half_axes), np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
+    return _loft(np.asarray(centre) + np.stack(circles) * axes, np.asarray(centre) + poles * axes, colour)
 
 
 def disc(
@@ -135,67 +144,32 @@ def disc(
     """A flat cylinder with its axis along x, y or z (0, 1, 2): a wheel."""
     half = np.zeros(3)
     half[axis] = width / 2
-    middle = np.asarray(centre, np.float64)
     angle = np.arange(sides) * 2 * np.pi / sides
-    others = [each for each in range(3) if each != axis]
     ring = np.zeros((sides, 3))
-    ring[:, others[0]], ring[:, others[1]] = radius * np.cos(angle), radius * np.sin(angle)
-    vertices = np.concatenate([middle - half + ring, middle + half + ring, [middle - half, middle + half]])
-    here, there = np.arange(sides), np.roll(np.arange(sides), -1)
-    faces = np.concatenate(
-        [
-            np.column_stack([here, there, there + sides]),
-            np.column_stack([here, there + sides, here + sides]),
-            np.column_stack([np.full(sides, 2 * sides), there, here]),
-            np.column_stack([np.full(sides, 2 * sides + 1), here + sides, there + sides]),
-        ]
+    ring[:, [each for each in range(3) if each != axis]] = radius * np.column_stack(
+        [np.cos(angle), np.sin(angle)]
     )
-    return _outward(solid(vertices, faces, colour))
+    ends = np.array([np.asarray(centre, np.float64) - half, np.asarray(centre, np.float64) + half])
+    return _loft(ends[:, None] + ring, ends, colour)
 
 
 def wheel(centre: ArrayLike, radius: float, width: float, rim: Colour, sides: int = 14) -> ColouredMesh:
     """A wheel with a black tyre and a rim of another colour, its axis along y."""
     tyre = disc(centre, radius, width, (0.07, 0.07, 0.07), sides)
-    return union([tyre, disc(centre, 0.58 * radius, 1.04 * width, rim, sides - 4)])
-
-
-def moved(mesh: ColouredMesh, by: ArrayLike) -> ColouredMesh:
-    """The mesh, moved."""
-    return ColouredMesh(mesh.vertices + np.asarray(by), mesh.faces, mesh.albedo, mesh.segments)
-
-
-def turned(mesh: ColouredMesh, angle: float, about: ArrayLike, axis: int = 1) -> ColouredMesh:
-    """The mesh, turned about an axis (x, y or z) through `about` (3,)."""
-    first, second = [each for each in range(3) if each != axis]
-    if axis == 1:
-        angle = -angle
-    turn = np.eye(3)
-    turn[first, first] = turn[second, second] = np.cos(angle)
-    turn[first, second], turn[second, first] = -np.sin(angle), np.sin(angle)
-    centre = np.asarray(about, np.float64)
-    vertices = (mesh.vertices - centre) @ turn.T + centre
-    return ColouredMesh(vertices, mesh.faces, mesh.albedo, mesh.segments)
+    return join_meshes([tyre, disc(centre, 0.58 * radius, 1.04 * width, rim, sides - 4)])
 
 
 def recoloured(mesh: ColouredMesh, chosen: Flags, colour: Colour) -> ColouredMesh:
     """The mesh with its `chosen` faces (F,) in another sRGB colour."""
     albedo = mesh.albedo.copy()
     albedo[chosen] = srgb_to_linear(np.array(colour))
-    return ColouredMesh(mesh.vertices, mesh.faces, albedo, mesh.segments)
+    return replace(mesh, albedo=albedo)
 
 
 def middles(mesh: ColouredMesh) -> Array:
     """The middles (F, 3) of the faces."""
     found: Array = mesh.vertices[mesh.faces].mean(axis=1)
     return found
-
-
-def _outward(mesh: ColouredMesh) -> ColouredMesh:
-    """The closed mesh with its faces turned outward, as one."""
-    a, b, c = np.moveaxis(mesh.vertices[mesh.faces] - mesh.vertices.mean(axis=0), 1, 0)
-    volume = np.einsum("ij,ij->i", a, np.cross(b, c)).sum()
-    faces = mesh.faces if volume > 0 else mesh.faces[:, ::-1]
-    return ColouredMesh(mesh.vertices, np.ascontiguousarray(faces), mesh.albedo, mesh.segments)
 
 
 _BOX_FACES = np.array(

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from dune_rl.behaviours.drivers.context import Unicycle
-from dune_rl.bodies.motion import MOTION_MODELS, Step
-from dune_rl.bodies.motion_models import stopping_distance
+from dune_rl.bodies.motion import MOTION_MODELS, Step, stopping_distance
 from dune_rl.bodies.settings import BodySettings
 from dune_rl.env.body import SceneBodies
 from dune_rl.env.heights import AltitudeController, Stance, turning_rates

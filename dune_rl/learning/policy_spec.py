@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from dune_rl.bodies.turning_circle import TurningCircle
+from dune_rl.bodies.motion import TurningCircle
 from dune_rl.core.errors import CheckpointError
 
 if TYPE_CHECKING:

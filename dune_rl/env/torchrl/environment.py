@@ -11,7 +11,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Bounded, Categorical, Composite, TensorSpec, Unbounded
 from torchrl.envs import EnvBase
 
-from dune_rl.bodies.turning_circle import TurningCircle
+from dune_rl.bodies.motion import TurningCircle
 from dune_rl.core.errors import ConfigError, DuneWarning
 from dune_rl.env.agent_group import AgentGroup, GroupStep
 from dune_rl.env.observation_layout import ObservationLayout
