@@ -12,7 +12,7 @@ from PIL import Image
 from dune_rl.bodies.registry import BODIES
 from dune_rl.bodies.settings import BodySettings, pictures_of
 from dune_rl.geometry.frames import rotation_from_yaw
-from dune_rl.rendering.posed_mesh import PosedMesh, RayMesh
+from dune_rl.rendering.moving_mesh import PosedMesh, RayMesh
 from dune_rl.rendering.renderer import Renderer, Viewpoint
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.worlds.appearance import bake_in_weather

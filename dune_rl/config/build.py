@@ -31,9 +31,8 @@ from dune_rl.robots.registry import ROBOTS
 from dune_rl.robots.robot import Robot
 from dune_rl.robots.settings import RobotSettings
 from dune_rl.worlds.cache.store import shared_store
-from dune_rl.worlds.region_candidates import describe_choice
 from dune_rl.worlds.settings import WorldSettings
-from dune_rl.worlds.world import World
+from dune_rl.worlds.world import World, describe_choice
 
 if TYPE_CHECKING:
     from torchrl.envs import TransformedEnv

@@ -13,10 +13,9 @@ from dune_rl.env.randomised_properties import EpisodeVariation
 from dune_rl.env.scene_spec import standing_pose
 from dune_rl.env.traction import Traction, drag_forces
 from dune_rl.geometry.arrays import Array, Counts, Flags
-from dune_rl.geometry.frame_loops import derive_motion
+from dune_rl.geometry.frames import derive_motion
 from dune_rl.physics.interface import PhysicsConf, PhysicsRobot, PhysicsScene
-from dune_rl.rendering.moving_mesh import MovingMesh
-from dune_rl.rendering.posed_mesh import PosedMesh
+from dune_rl.rendering.moving_mesh import MovingMesh, PosedMesh
 from dune_rl.robots.robot import BodyMotion, Robot
 from dune_rl.robots.visual import RobotVisual, robot_mesh
 from dune_rl.sensors.odometry import DriveGeometry

@@ -10,8 +10,7 @@ from dune_rl.geometry.arrays import Array, Counts, Flags
 from dune_rl.physics.interface import PhysicsScene
 from dune_rl.physics.robot_body import RobotBody
 from dune_rl.physics.shapes import KinematicShape
-from dune_rl.rendering.moving_mesh import MovingMesh
-from dune_rl.rendering.posed_mesh import PosedMesh
+from dune_rl.rendering.moving_mesh import MovingMesh, PosedMesh
 from dune_rl.robots.robot import BodyMotion
 from dune_rl.state.body_description import BodyDescription
 from dune_rl.state.sensor_carrier import SensorCarrier

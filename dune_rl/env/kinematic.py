@@ -19,8 +19,7 @@ from dune_rl.geometry.arrays import Array, Counts, Flags
 from dune_rl.geometry.compiled import compile_function
 from dune_rl.geometry.frames import rotation_from_angles
 from dune_rl.physics.interface import PhysicsScene
-from dune_rl.rendering.moving_mesh import MovingMesh
-from dune_rl.rendering.posed_mesh import PosedMesh
+from dune_rl.rendering.moving_mesh import MovingMesh, PosedMesh
 from dune_rl.robots.robot import BodyMotion, rectangle_outline
 from dune_rl.state.body_description import BodyDescription
 from dune_rl.state.sensor_carrier import SensorCarrier

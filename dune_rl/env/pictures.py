@@ -12,7 +12,7 @@ from dune_rl.env.simulation import VectorSimulation
 from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.shared_per_scene import DerivedCache
 from dune_rl.rendering.light import srgb_to_linear
-from dune_rl.rendering.posed_mesh import PosedMesh, RayMesh
+from dune_rl.rendering.moving_mesh import PosedMesh, RayMesh
 from dune_rl.rendering.renderer import Renderer, Viewpoint
 from dune_rl.rendering.scenery import ColouredMesh, Segment, join_meshes
 from dune_rl.worlds.appearance import bake_in_weather

@@ -5,13 +5,13 @@ from functools import partial
 
 import numpy as np
 
-from dune_rl.geometry.batched import BatchedHeightFields, BatchedRayScenes
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
-from dune_rl.rendering.beam_surface import BatchedBeamSurfaces
+from dune_rl.geometry.shared_per_scene import BatchedHeightFields, BatchedRayScenes
 from dune_rl.rendering.foliage import BatchedFoliage, Foliage
 from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.rendering.participating_media import BeamMedia
+from dune_rl.rendering.scenery import BatchedBeamSurfaces
 from dune_rl.rendering.weather import Haze, WeatherConf
 from dune_rl.sensors.camera import Camera, CameraConf, Cameras
 from dune_rl.sensors.context import SensorContext

@@ -1,10 +1,14 @@
-"""Per-scene objects that several scenes may share, so that work is done once per distinct object."""
+"""Per-scene objects that several scenes may share: a query of M scenes runs once per distinct object."""
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Self, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+from dune_rl.geometry.arrays import Array, Flags, Floats
+from dune_rl.geometry.heightfield import HeightField
+from dune_rl.geometry.rays import Hits, RayScene
 
 T = TypeVar("T")
 U = TypeVar("U")
@@ -17,10 +21,9 @@ _ALL = slice(None)
 class SharedPerScene(Generic[T]):
     """One object for each of M scenes; objects are compared by identity.
 
-    `groups` pairs each distinct object with the scenes that have it, in the
-    order of the first such scene: `slice(None)` where all scenes share one
-    object (indexing with it copies nothing), else their indices in rising
-    order. The tuple stays the same object until `put` changes a scene.
+    `groups` pairs each distinct object with the scenes that have it, in the order of the first such scene:
+    `slice(None)` where all scenes share one object (indexing with it copies nothing), else their indices in
+    rising order. The tuple stays the same object until `put` changes a scene.
     """
 
     def __init__(self, items: Iterable[T]) -> None:
@@ -131,3 +134,67 @@ def _group_by_identity(items: Sequence[T]) -> Groups[T]:
     if len(scenes) == 1:
         return ((items[0], _ALL),)
     return tuple((items[rows[0]], np.array(rows)) for rows in scenes.values())
+
+
+class BatchedQueries(Generic[T]):
+    """Objects of M scenes, queried together with scene-major arrays: each scene has an M-th of the rows."""
+
+    def __init__(self, items: SharedPerScene[T] | DerivedCache[Any, T]) -> None:
+        self._items = items
+
+    def __len__(self) -> int:
+        return len(self._items)
+
+    def select_scenes(self, scenes: NDArray[np.int64]) -> Self:
+        """The objects of `scenes` (m,) only, renumbered from 0 in that order."""
+        return type(self)(SharedPerScene([self._items[scene] for scene in scenes.tolist()]))
+
+    def _query(
+        self, query: Callable[..., tuple[NDArray[Any], ...]], *arrays: NDArray[Any]
+    ) -> tuple[NDArray[Any], ...]:
+        """The arrays of `query(item, *rows)`, made once per group with its rows of `arrays`, and joined."""
+        groups, count = self._items.groups, len(self._items)
+        if len(groups) == 1:
+            return query(groups[0][0], *arrays)
+        by_scene = [array.reshape(count, len(array) // count, *array.shape[1:]) for array in arrays]
+        joined: list[NDArray[Any]] = []
+        for item, rows in groups:
+            found = query(item, *(array[rows].reshape(-1, *array.shape[2:]) for array in by_scene))
+            assert not isinstance(rows, slice)
+            joined = joined or [np.empty((count, len(p) // len(rows), *p.shape[1:]), p.dtype) for p in found]
+            for whole, part in zip(joined, found, strict=True):
+                whole[rows] = part.reshape(len(rows), *whole.shape[1:])
+        return tuple(whole.reshape(-1, *whole.shape[2:]) for whole in joined)
+
+
+class BatchedRayScenes(BatchedQueries[RayScene]):
+    """A `RayScene` for each of M scenes; origins (S, 3) and rays (N, 3) are scene-major."""
+
+    def shorten_ranges(self, origins: Floats, directions: Floats, ranges: Floats) -> None:
+        """As `RayScene.shorten_ranges`."""
+
+        def shorten(rays: RayScene, origins: Floats, directions: Floats, own: Floats) -> tuple[Floats]:
+            rays.shorten_ranges(origins, directions, own)
+            return (own,)
+
+        ranges[:] = self._query(shorten, origins, directions, ranges)[0]
+
+    def hits(self, origins: Floats, directions: Floats, ranges: Floats) -> Hits:
+        """As `RayScene.hits`; face indices refer to the triangles of the ray's own scene."""
+        face, ranges[:], normal = self._query(RayScene.hits, origins, directions, ranges)
+        return Hits(face, ranges, normal)
+
+    def any_hit(self, origins: Floats, directions: Floats) -> Flags:
+        """As `RayScene.any_hit`."""
+        return self._query(lambda rays, *own: (rays.any_hit(*own),), origins, directions)[0]
+
+
+class BatchedHeightFields(BatchedQueries[HeightField]):
+    """A `HeightField` for each of M scenes; points (N, ..., 2) are scene-major."""
+
+    def height(self, xy: Array) -> Array:
+        """Height [m], (N, ...), at points (N, ..., 2)."""
+        return self._query(lambda field, points: (field.height(points),), xy)[0]
+
+
+AnyRays: TypeAlias = RayScene | BatchedRayScenes

@@ -9,7 +9,7 @@ import scipy
 from numpy.typing import NDArray
 
 from dune_rl.geometry.arrays import Array, Floats
-from dune_rl.geometry.heightfield import HeightField
+from dune_rl.geometry.heightfield import HeightField, cell_centres
 from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.light import Light, tone_map_to_srgb
 from dune_rl.rendering.mesh_texture import TextureSampler
@@ -30,10 +30,6 @@ LAST_CACHED = "sky share of props"
 GetOrCompute = Callable[[str, Callable[[], Floats]], Floats]
 
 
-def _compute(_: str, make: Callable[[], Floats]) -> Floats:
-    return make()
-
-
 class BakedScenery:
     """Colours and segments of a `Scenery` at any point that a ray hits.
 
@@ -42,20 +38,18 @@ class BakedScenery:
     cache arrays, which depend on the scenery but not on the light.
     """
 
-    def __init__(self, scenery: Scenery, light: Light, get_or_compute: GetOrCompute = _compute) -> None:
+    def __init__(
+        self, scenery: Scenery, light: Light, get_or_compute: GetOrCompute = lambda _, make: make()
+    ) -> None:
         self.scenery = scenery
         self.terrain = scenery.terrain
         ground_vertices, ground_faces = self.terrain.mesh()
         self.props = subdivide_mesh(scenery.props, _LONGEST_EDGE_M)
-        ground = ColouredMesh(
-            ground_vertices,
-            ground_faces,
-            np.zeros((len(ground_faces), 3), np.float32),
-            np.full(len(ground_faces), Segment.GROUND, np.uint8),
-        )
+        count = self.ground_faces = len(ground_faces)
+        no_colours, segments = np.zeros((count, 3), np.float32), np.full(count, Segment.GROUND, np.uint8)
+        ground = ColouredMesh(ground_vertices, ground_faces, no_colours, segments)
         everything = join_meshes([ground, self.props])
         self.rays = RayScene(everything.vertices, everything.faces)
-        self.ground_faces = len(ground_faces)
         # Index -1, for a miss, selects the last entry.
         self.segments = np.append(everything.segments, np.uint8(Segment.SKY))
         self.texture = None if self.props.texture is None else TextureSampler(self.props.texture)
@@ -81,8 +75,7 @@ class BakedScenery:
 
     def ground_texel_positions(self) -> Array:
         """Points (rows, columns, 3) on the ground at the centres of the texture's texels."""
-        rows, columns = self.scenery.ground.albedo.shape[:2]
-        return _ground_grid(self.terrain, rows, columns)
+        return _ground_grid(self.terrain, *self.scenery.ground.shape[:2])
 
     def grid_coordinates(self, points: Floats, shape: tuple[int, ...]) -> tuple[Floats, Floats]:
         """Fractional rows and columns (N,) of points (N, 2 or 3) in a grid of `shape` over the ground."""
@@ -102,19 +95,17 @@ class BakedScenery:
         return scipy.ndimage.gaussian_filter(share, 0.7)
 
     def _bake_ground(self) -> NDArray[np.uint8]:
-        albedo = self.scenery.ground.albedo
+        albedo = self.scenery.ground
         points = self.ground_texel_positions().reshape(-1, 3)
         normals = smooth_normals(self.terrain, points[:, :2])
         zoom = [a / b for a, b in zip(albedo.shape[:2], self.sky_share.shape, strict=True)]
         share = scipy.ndimage.zoom(self.sky_share, zoom, order=1, mode="nearest", grid_mode=True)
-        lit = self.light.shade(
-            albedo.reshape(-1, 3), normals, sunlit(self.rays, self.light, points, normals), share.ravel()
-        )
+        sun = sunlit(self.rays, self.light, points, normals)
+        lit = self.light.shade(albedo.reshape(-1, 3), normals, sun, share.ravel())
         return to_srgb_bytes(lit).reshape(albedo.shape)
 
     def _props_centres(self) -> Array:
-        centres: Array = self.props.vertices[self.props.faces].mean(axis=1)
-        return centres
+        return self.props.vertices[self.props.faces].mean(axis=1)
 
     def _bake_props(self) -> NDArray[np.uint8]:
         props, normals = self.props, self._props_normals
@@ -146,8 +137,7 @@ def smooth_normals(terrain: HeightField, xy: Array) -> Floats:
     at = ((xy - terrain.origin) / terrain.spacing_m).T[::-1]
     slopes = [scipy.ndimage.map_coordinates(rise, at, order=1, mode="nearest") for rise in (rise_x, rise_y)]
     normals = np.stack([-slopes[0], -slopes[1], np.ones(len(xy))], axis=1)
-    unit: Floats = (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
-    return unit
+    return (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
 
 
 def sunlit(rays: RayScene, light: Light, points: Array, normals: Floats) -> Floats:
@@ -187,13 +177,9 @@ def _face_normals(shape: ColouredMesh) -> Floats:
     corners = shape.vertices[shape.faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    unit: Floats = normals.astype(np.float32)
-    return unit
+    return normals.astype(np.float32)
 
 
 def _ground_grid(terrain: HeightField, rows: int, columns: int) -> Array:
-    xmin, xmax, ymin, ymax = terrain.extent
-    x = xmin + (np.arange(columns) + 0.5) * (xmax - xmin) / columns
-    y = ymin + (np.arange(rows) + 0.5) * (ymax - ymin) / rows
-    xy = np.stack(np.meshgrid(x, y), axis=-1)
+    xy = cell_centres(terrain.extent, rows, columns)
     return np.concatenate([xy, terrain.height(xy)[..., None]], axis=-1)

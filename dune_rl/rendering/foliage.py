@@ -2,14 +2,15 @@
 
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import scipy
 
 from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.geometry.shared_per_scene import DerivedCache, SharedPerScene
+from dune_rl.geometry.rays import contiguous
+from dune_rl.geometry.shared_per_scene import BatchedQueries
 from dune_rl.rendering.foliage_marching import TEXELS, march_rays, sample_density
 
 # Marching steps: constant part [m], and growth with the distance. For LiDAR beams, for small pictures, whose
@@ -21,10 +22,9 @@ _MEDIAN_DEPTH = float(np.log(2.0))
 class FoliageTransmission(NamedTuple):
     """Transmission of N rays through grass, and the mean properties of the grass that hides the rest.
 
-    `passed` (N,) is the share of light that passes. `range` (N,) [m] is where
-    half of the light is lost, inf where less is. Means over the visible grass
-    are `distance` [m], `height`, from the ground (0) to the tips (1), and
-    `tint`, from fresh (0) to dry (1).
+    `passed` (N,) is the share of light that passes. `range` (N,) [m] is where half of the light is lost, inf
+    where less is. Means over the visible grass are `distance` [m], `height`, from the ground (0) to the tips
+    (1), and `tint`, from fresh (0) to dry (1).
     """
 
     passed: Floats
@@ -37,11 +37,10 @@ class FoliageTransmission(NamedTuple):
 class Foliage:
     """Grass of `height_m` above `terrain`, with a `density` (rows, columns) from 0 to 1.
 
-    The grid's cells divide the terrain's rectangle evenly, the first at its lowest
-    x and y; density is interpolated between their centres, and outside it is that
-    of the edge. Light is attenuated by the Beer-Lambert law, as in any canopy of
-    small leaves (Monsi and Saeki, 1953), with the coefficient `extinction` [1/m]
-    times density, and `beam_extinction` for LiDAR beams.
+    The grid's cells divide the terrain's rectangle evenly, the first at its lowest x and y; density is
+    interpolated between their centres, and outside it is that of the edge. Light is attenuated by the
+    Beer-Lambert law, as in any canopy of small leaves (Monsi and Saeki, 1953), with the coefficient
+    `extinction` [1/m] times density, and `beam_extinction` for LiDAR beams.
     """
 
     def __init__(
@@ -58,7 +57,8 @@ class Foliage:
         xmin, xmax, ymin, ymax = terrain.extent
         rows, columns = density.shape
         cell_x, cell_y = (xmax - xmin) / columns, (ymax - ymin) / rows
-        steepest = float(terrain.normal(_triangle_centres(terrain))[..., 2].min())
+        vertices, faces = terrain.mesh()
+        steepest = float(terrain.normal(vertices[faces, :2].mean(axis=1))[..., 2].min())
         # From anywhere in a cell, a lower bound of the distance to interpolated density above 0.
         away = scipy.ndimage.distance_transform_edt(density <= 0.0, sampling=(cell_y, cell_x))
         if not (density > 0.0).any():
@@ -98,8 +98,7 @@ class Foliage:
 
     def shade(self, points: Array) -> Floats:
         """Share (N,) of daylight that reaches the ground at points (N, 2 or 3)."""
-        share: Floats = np.exp(-self.extinction * self.height_m * self.density_at(points)).astype(np.float32)
-        return share
+        return np.exp(-self.extinction * self.height_m * self.density_at(points)).astype(np.float32)
 
     def _march(
         self,
@@ -113,56 +112,36 @@ class Foliage:
     ) -> tuple[Floats, Floats]:
         crossing = np.full(len(directions), np.inf, np.float32)
         means = np.zeros((4, len(directions) if detail else 0), np.float32)
-        march_rays(
-            self._ground,
-            self._cells,
-            self._canopy,
-            _tufts(),
-            (extinction, *step, detail),
-            _contiguous(origins),
-            _contiguous(directions),
-            _contiguous(ranges),
-            _contiguous(depths),
-            crossing,
-            means,
-        )
+        grass, medium = (self._ground, self._cells, self._canopy, _tufts()), (extinction, *step, detail)
+        rays = contiguous(origins), contiguous(directions), contiguous(ranges), contiguous(depths)
+        march_rays(*grass, medium, *rays, crossing, means)
         return crossing, means
 
 
-class BatchedFoliage:
-    """The `Foliage` of each of M scenes, None for a scene without grass.
-
-    Origins (S, 3) and rays (N, 3) are scene-major, as for `BatchedRayScenes`.
-    """
-
-    def __init__(self, foliages: SharedPerScene[Foliage | None] | DerivedCache[Any, Foliage | None]) -> None:
-        self._foliages = foliages
+class BatchedFoliage(BatchedQueries[Foliage | None]):
+    """The `Foliage` of each of M scenes, None for a scene without grass; origins and rays are scene-major."""
 
     @property
     def none(self) -> bool:
         """Whether no scene has grass."""
-        return all(foliage is None for foliage, _ in self._foliages.groups)
+        return all(foliage is None for foliage, _ in self._items.groups)
 
     def beam_ranges(self, origins: Floats, directions: Floats, ranges: Floats, depths: Floats) -> Floats:
         """As `Foliage.beam_ranges`."""
-        return self._query(Foliage.beam_ranges, origins, directions, ranges, depths)
+        return self._query(_ranges(Foliage.beam_ranges), origins, directions, ranges, depths)[0]
 
     def median_ranges(self, origins: Floats, directions: Floats, ranges: Floats) -> Floats:
         """As `Foliage.median_ranges`."""
-        return self._query(Foliage.median_ranges, origins, directions, ranges)
+        return self._query(_ranges(Foliage.median_ranges), origins, directions, ranges)[0]
 
-    def _query(self, query: Callable[..., Floats], *rays: Floats) -> Floats:
-        groups = self._foliages.groups
-        if len(groups) == 1 and groups[0][0] is not None:
-            return query(groups[0][0], *rays)
-        by_scene = [values.reshape(len(self._foliages), -1, *values.shape[1:]) for values in rays]
-        count = len(rays[1]) // len(self._foliages)
-        ranges = np.full((len(self._foliages), count), np.inf, np.float32)
-        for foliage, rows in groups:
-            if foliage is not None:
-                own = [values[rows].reshape(-1, *values.shape[2:]) for values in by_scene]
-                ranges[rows] = query(foliage, *own).reshape(-1, count)
-        return ranges.ravel()
+
+def _ranges(query: Callable[..., Floats]) -> Callable[..., tuple[Floats]]:
+    def ranges(foliage: Foliage | None, *rays: Floats) -> tuple[Floats]:
+        if foliage is None:
+            return (np.full(len(rays[1]), np.inf, np.float32),)
+        return (query(foliage, *rays),)
+
+    return ranges
 
 
 @lru_cache(maxsize=1)
@@ -174,24 +153,10 @@ def _tufts() -> Floats:
         total = sum(
             scipy.ndimage.gaussian_filter(draws[layer], sigma, mode="wrap") * sigma for sigma in sigmas
         )
-        unit: Array = total / np.std(total)
-        return unit
+        return total / np.std(total)
 
     clumps = noise(0, 5.0, 14.0)
     tall = np.clip(0.74 + 0.12 * clumps + 0.13 * noise(1, 0.7), 0.3, 1.0)
     dense = np.clip(1.0 + 0.9 * noise(2, 0.7, 1.5) + 0.4 * clumps, 0.05, None)
     tint = 0.42 + 0.12 * noise(0, 30.0, 70.0) + 0.12 * clumps + 0.2 * noise(1, 0.7)
     return np.stack([tall, dense / (dense * tall).mean(), tint], axis=-1).astype(np.float32)
-
-
-def _contiguous(values: Floats) -> Floats:
-    # One memory layout, so that each function is compiled once.
-    values = np.ascontiguousarray(values, np.float32)
-    return values if values.flags.writeable else values.copy()
-
-
-def _triangle_centres(terrain: HeightField) -> Array:
-    """Centres (T, 2) of the terrain's triangles."""
-    vertices, faces = terrain.mesh()
-    centres: Array = vertices[faces, :2].mean(axis=1)
-    return centres

@@ -67,14 +67,12 @@ class Light:
         upward = ((1.0 + normals[..., 2]) / 2 * sky_share)[..., None]
         sky = 0.55 * self.zenith + 0.25 * self.horizon
         bounce = 0.10 * self.sun * (1.0 - upward) * sky_share[..., None]
-        lit: Floats = albedo * (facing[..., None] * self.sun + upward * sky + bounce)
-        return lit
+        return albedo * (facing[..., None] * self.sun + upward * sky + bounce)
 
     def sky(self, up: Floats) -> Floats:
         """Linear RGB (..., 3) of the sky where the direction's z is `up` (...), in [-1, 1]."""
         share = np.sqrt(np.clip(up, 0.0, 1.0))[..., None]
-        colour: Floats = self.horizon + share * (self.zenith - self.horizon)
-        return colour
+        return self.horizon + share * (self.zenith - self.horizon)
 
 
 def tone_map_to_srgb(linear: Floats) -> Floats:

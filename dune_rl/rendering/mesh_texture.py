@@ -147,16 +147,14 @@ class TextureSampler:
             + self._linear[self._texel(start, sides, left + 1, line)] * right_share
             for line in (top, top + 1)
         )
-        mixed: Floats = upper * (1 - low_share) + lower * low_share
-        return mixed
+        return upper * (1 - low_share) + lower * low_share
 
     def _texel(
         self, start: NDArray[np.int64], sides: NDArray[np.int32], column: Floats, row: Floats
     ) -> Bytes:
         x = column.astype(np.int32) & (sides[:, 0] - 1)
         y = row.astype(np.int32) & (sides[:, 1] - 1)
-        texel: Bytes = self._texels[start + y * sides[:, 0] + x]
-        return texel
+        return self._texels[start + y * sides[:, 0] + x]
 
 
 def _resize_to_powers_of_two(picture: Bytes) -> Bytes:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,13 +10,17 @@ from scipy import ndimage
 
 from dune_rl.geometry.arrays import Floats
 from dune_rl.rendering.baked_scenery import BakedScenery, smooth_normals
-from dune_rl.rendering.foliage import Foliage, FoliageTransmission
-from dune_rl.rendering.grass_colour import grass_colours
-from dune_rl.rendering.light import tone_map_to_srgb
-from dune_rl.rendering.participating_media import ParticipatingMedia
-from dune_rl.rendering.posed_mesh import PosedMesh
+from dune_rl.rendering.foliage import Foliage
+from dune_rl.rendering.moving_mesh import PosedMesh
+from dune_rl.rendering.participating_media import (
+    BRIGHTEST,
+    TONES,
+    TONES_TO_BYTES,
+    ParticipatingMedia,
+    grass_colours,
+)
 from dune_rl.rendering.scenery import Segment
-from dune_rl.rendering.sky import Sky
+from dune_rl.rendering.weather import Sky
 
 _RAYS_AT_ONCE = 65_536
 _FAR_M = 2_000.0
@@ -26,8 +31,6 @@ _GRAIN_FADES_M = 14.0
 # Distance in clear air at which half of the colour is that of the horizon.
 _AIR_M = 700.0
 _CLEAR = ParticipatingMedia()
-_TONES = 4096
-_BRIGHTEST = 4.0
 
 
 @dataclass(frozen=True)
@@ -53,6 +56,16 @@ class Viewpoint:
         return rays.astype(np.float32)
 
 
+class _SurfaceHits(NamedTuple):
+    """Hits of N rays: points, faces, normals, ranges [m], and number of the body, -1 for the world."""
+
+    points: Floats
+    face: NDArray[np.int32]
+    normal: Floats
+    range: Floats
+    body: NDArray[np.int32]
+
+
 class Renderer:
     """Renders a baked world, posed meshes in it, and the `media` in front of them."""
 
@@ -63,7 +76,7 @@ class Renderer:
         self._sky = Sky(baked.light, media.haze)
         points = baked.ground_texel_positions()
         shape = points.shape[:2]
-        self._albedo = baked.scenery.ground.albedo
+        self._albedo = baked.scenery.ground
         self._normals = smooth_normals(baked.terrain, points.reshape(-1, 3)[:, :2]).reshape(*shape, 3)
         draws = np.random.default_rng(0).standard_normal((_GRAIN_TEXELS, _GRAIN_TEXELS))
         grain = sum(
@@ -71,8 +84,6 @@ class Renderer:
             for sigma, weight in ((0.7, 1.0), (2.0, 1.2), (6.0, 1.0))
         )
         self._grain = (grain / np.std(grain)).astype(np.float32)
-        tones = np.linspace(0.0, _BRIGHTEST, _TONES, dtype=np.float32)
-        self._tones = (tone_map_to_srgb(tones) * 255.0 + 0.5).astype(np.uint8)
 
     def render(
         self,
@@ -92,18 +103,17 @@ class Renderer:
             colours[part] = self._colours(eye, directions[part], bodies, pixel_rad)
         if samples > 1:
             # Clipped before averaging, so that one very bright sample does not dominate a pixel.
-            blocks = np.minimum(colours, _BRIGHTEST).reshape(height, samples, width, samples, 3)
+            blocks = np.minimum(colours, BRIGHTEST).reshape(height, samples, width, samples, 3)
             colours = blocks.mean(axis=(1, 3)).reshape(-1, 3)
-        index = (colours * ((_TONES - 1) / _BRIGHTEST)).astype(np.int32)
-        return self._tones.take(index, mode="clip").reshape(height, width, 3)
+        index = (colours * ((TONES - 1) / BRIGHTEST)).astype(np.int32)
+        return TONES_TO_BYTES.take(index, mode="clip").reshape(height, width, 3)
 
     def _colours(
         self, eye: Floats, directions: Floats, bodies: Sequence[PosedMesh], pixel_rad: float
     ) -> Floats:
         """Linear RGB (N, 3) seen from `eye` (3,) along `directions` (N, 3), which are `pixel_rad` apart."""
-        baked = self.baked
         ranges = np.full(len(directions), _FAR_M, np.float32)
-        face, ranges, normal = baked.rays.hits(eye[None], directions, ranges)
+        face, ranges, normal = self.baked.rays.hits(eye[None], directions, ranges)
         body_of = np.full(len(directions), -1, np.int32)
         for number, body in enumerate(bodies):
             ray = body.candidate_rays(eye, directions)
@@ -117,8 +127,10 @@ class Renderer:
         colours = self._sky.colours(directions)
         seen = np.flatnonzero(face >= 0)
         if len(seen):
-            self._shade_hits(colours, eye, directions, seen, face, ranges, normal, body_of, bodies, pixel_rad)
-            colours[seen] = self._fade(colours[seen], ranges[seen])
+            points = eye + directions[seen] * ranges[seen, None]
+            hits = _SurfaceHits(points, face[seen], normal[seen], ranges[seen], body_of[seen])
+            lit = self._shade(hits, directions[seen], bodies, pixel_rad)
+            colours[seen] = self._fade(lit, hits.range)
         if self._media.foliage is not None:
             self._blend_grass(self._media.foliage, colours, eye, directions, ranges, bodies)
         return colours
@@ -130,30 +142,15 @@ class Renderer:
         faded: Floats = colours * clear + self._light.horizon * (1.0 - clear)
         return faded if self._media.haze is None else self._media.haze.blend_over(faded, ranges)
 
-    def _shade_hits(
-        self,
-        colours: Floats,
-        eye: Floats,
-        directions: Floats,
-        seen: NDArray[np.int64],
-        face: NDArray[np.int32],
-        ranges: Floats,
-        normal: Floats,
-        body_of: NDArray[np.int32],
-        bodies: Sequence[PosedMesh],
-        pixel_rad: float,
-    ) -> None:
-        """Write the shaded colours of the hits of rays `seen` to `colours` (N, 3)."""
-        points = eye + directions[seen] * ranges[seen, None]
-        albedo, normals, sky_share, gloss = self._surfaces(
-            points, face[seen], normal[seen], body_of[seen], ranges[seen], bodies, pixel_rad
-        )
-        towards_eye = np.einsum("ij,ij->i", normals, directions[seen]) > 0.0
+    def _shade(
+        self, hits: _SurfaceHits, directions: Floats, bodies: Sequence[PosedMesh], pixel_rad: float
+    ) -> Floats:
+        """Linear RGB (N, 3) of surfaces hit by rays along `directions` (N, 3)."""
+        albedo, normals, sky_share, gloss = self._surfaces(hits, bodies, pixel_rad)
+        towards_eye = np.einsum("ij,ij->i", normals, directions) > 0.0
         normals[towards_eye] *= -1.0
-        lit = self._light.shade(albedo, normals, self._sunlit(points, normals, bodies), sky_share)
-        if gloss.any():
-            lit = self._add_reflections(lit, gloss, normals, directions[seen])
-        colours[seen] = lit
+        lit = self._light.shade(albedo, normals, self._sunlit(hits.points, normals, bodies), sky_share)
+        return self._add_reflections(lit, gloss, normals, directions) if gloss.any() else lit
 
     def _blend_grass(
         self,
@@ -169,34 +166,25 @@ class Renderer:
         grown = np.flatnonzero(transmission.passed < 0.998)
         if not len(grown):
             return
-        transmission = FoliageTransmission(*(values[grown] for values in transmission))
-        upward = np.zeros((len(grown), 3), np.float32)
-        upward[:, 2] = 1.0
-        sunlit = self._sunlit(eye + directions[grown] * transmission.distance[:, None], upward, bodies)
-        grass = self._fade(
-            grass_colours(self._light, transmission.height, transmission.tint, sunlit), transmission.distance
-        )
-        colours[grown] = grass + (colours[grown] - grass) * transmission.passed[:, None]
+        passed, _, distance, height, tint = (values[grown] for values in transmission)
+        upward = np.broadcast_to(np.array([0.0, 0.0, 1.0], np.float32), (len(grown), 3))
+        sunlit = self._sunlit(eye + directions[grown] * distance[:, None], upward, bodies)
+        grass = self._fade(grass_colours(self._light, height, tint, sunlit), distance)
+        colours[grown] = grass + (colours[grown] - grass) * passed[:, None]
 
     def _surfaces(
-        self,
-        points: Floats,
-        face: NDArray[np.int32],
-        normal: Floats,
-        body_of: NDArray[np.int32],
-        ranges: Floats,
-        bodies: Sequence[PosedMesh],
-        pixel_rad: float,
+        self, hits: _SurfaceHits, bodies: Sequence[PosedMesh], pixel_rad: float
     ) -> tuple[Floats, Floats, Floats, Floats]:
-        """Albedo (N, 3), unit normals (N, 3), sky share (N,) and gloss (N,) at `points` (N, 3)."""
-        baked = self.baked
+        """Albedo (N, 3), unit normals (N, 3), sky share (N,) and gloss (N,) of the surfaces."""
+        baked, (points, face, normal, ranges, body_of) = self.baked, hits
         albedo = np.empty_like(points)
         normals = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
         share, gloss = np.ones(len(points), np.float32), np.zeros(len(points), np.float32)
         ground = np.flatnonzero((body_of < 0) & (face < baked.ground_faces))
         if len(ground):
             at = points[ground]
-            albedo[ground] = self._ground_albedo(at, ranges[ground])
+            texels = baked.grid_coordinates(at, self._albedo.shape[:2])
+            albedo[ground] = _interpolate(self._albedo, texels) * (1.0 + self._grain_at(at, ranges[ground]))
             normals[ground] = _interpolate(self._normals, baked.grid_coordinates(at, self._normals.shape[:2]))
             share[ground] = _interpolate(baked.sky_share, baked.grid_coordinates(at, baked.sky_share.shape))
         prop = np.flatnonzero((body_of < 0) & (face >= baked.ground_faces))
@@ -216,11 +204,6 @@ class Renderer:
             mine = body_of == number
             albedo[mine] = bodies[number].shape.albedo[face[mine]]
         return albedo, normals, share, gloss
-
-    def _ground_albedo(self, points: Floats, ranges: Floats) -> Floats:
-        at = self.baked.grid_coordinates(points, self._albedo.shape[:2])
-        albedo: Floats = _interpolate(self._albedo, at) * (1.0 + self._grain_at(points, ranges))
-        return albedo
 
     def _grain_at(self, points: Floats, ranges: Floats) -> Floats:
         """Relative brightness noise (N, 1) about 0 at points (N, 3), faded out where it would flicker."""

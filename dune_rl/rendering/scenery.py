@@ -1,13 +1,15 @@
-"""Scenery: textured ground, and meshes with a colour per face."""
+"""Scenery: textured ground, meshes with a colour per face, and the surface properties that beams measure."""
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.geometry.heightfield import HeightField
+from dune_rl.geometry.shared_per_scene import BatchedQueries
 from dune_rl.rendering.mesh_texture import MeshTexture, join_textures
 
 
@@ -39,21 +41,15 @@ class ColouredMesh:
 
 
 @dataclass(frozen=True, eq=False)
-class GroundTexture:
-    """Linear RGB albedo (rows, columns, 3) of the ground, over the terrain's rectangle.
+class Scenery:
+    """Everything static and visible in a world.
 
-    Row 0 is at the lowest y, column 0 at the lowest x.
+    `ground` (rows, columns, 3) is the linear RGB albedo of the ground over the terrain's rectangle; row 0 is
+    at the lowest y, column 0 at the lowest x.
     """
 
-    albedo: Floats
-
-
-@dataclass(frozen=True, eq=False)
-class Scenery:
-    """Everything static and visible in a world."""
-
     terrain: HeightField
-    ground: GroundTexture
+    ground: Floats
     props: ColouredMesh
 
 
@@ -92,3 +88,48 @@ def subdivide_mesh(shape: ColouredMesh, longest_m: float) -> ColouredMesh:
         shape.segments[origin],
         None if shape.texture is None else shape.texture.select_faces(origin),
     )
+
+
+# Weights of linear red, green and blue (ITU-R BT.709).
+_WEIGHTS = np.array([0.2126, 0.7152, 0.0722], np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class BeamSurface:
+    """Segments (F + 1,) and albedo luminances (F + 1,) in [0, 1] of the F faces of a mesh.
+
+    The last entry is for a ray without a hit, whose face is -1.
+    """
+
+    segments: NDArray[np.uint8]
+    luminance: Floats
+
+    def look_up(self, face: NDArray[np.int32]) -> tuple[NDArray[np.uint8], Floats]:
+        """Segments (N,) and luminances (N,) of faces (N,)."""
+        return self.segments.take(face, mode="wrap"), self.luminance.take(face, mode="wrap")
+
+    def select_scenes(self, scenes: NDArray[np.int64]) -> Self:
+        """Itself, since all scenes share it; see `BatchedBeamSurfaces`."""
+        return self
+
+    @classmethod
+    def from_faces(cls, segments: NDArray[np.uint8], albedo: Floats) -> Self:
+        """The surface of faces with `segments` (F,) and `albedo` (F, 3) in linear RGB."""
+        return cls(
+            np.append(segments, np.uint8(Segment.SKY)),
+            np.append(luminance(albedo), np.float32(0.0)),
+        )
+
+
+class BatchedBeamSurfaces(BatchedQueries[BeamSurface]):
+    """A `BeamSurface` for each of M scenes; faces are scene-major."""
+
+    def look_up(self, face: NDArray[np.int32]) -> tuple[NDArray[np.uint8], Floats]:
+        """As `BeamSurface.look_up`."""
+        segments, brightness = self._query(BeamSurface.look_up, face)
+        return segments, brightness
+
+
+def luminance(albedo: Floats) -> Floats:
+    """Luminance (...) of linear RGB (..., 3)."""
+    return albedo @ _WEIGHTS

@@ -1,9 +1,10 @@
-"""Fog, dust and time of day: attenuation of light, and the sun's position."""
+"""Fog, dust and time of day: attenuation of light, the sun's position, and the sky of pictures."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 from pydantic import Field
+from scipy import ndimage
 
 from dune_rl.core.settings import Settings
 from dune_rl.geometry.arrays import Floats
@@ -23,10 +24,9 @@ _RAD_PER_HOUR = np.pi / 12
 class WeatherConf(Settings):
     """Visibilities and colours (sRGB) of fog and dust, and the light.
 
-    Visibility is the distance at which the contrast of black objects falls to
-    2 %; null: clear air. `time_of_day_h`, if given, replaces the sun's
-    position in `light` by that at this solar time at an equinox, 45 degrees
-    north, in a world whose x axis points east.
+    Visibility is the distance at which the contrast of black objects falls to 2 %; null: clear air.
+    `time_of_day_h`, if given, replaces the sun's position in `light` by that at this solar time at an
+    equinox, 45 degrees north, in a world whose x axis points east.
     """
 
     fog_visibility_m: float | None = Field(None, gt=0.0, le=1e6)
@@ -74,8 +74,7 @@ class Haze:
 
     def transmittance(self, ranges: Floats) -> Floats:
         """Share (...) of light that passes `ranges` (...) [m] of haze, by the Beer-Lambert law."""
-        passed: Floats = np.exp(ranges * np.float32(-self.extinction))
-        return passed
+        return np.exp(ranges * np.float32(-self.extinction))
 
     def sky_transmittance(self, up: Floats) -> Floats:
         """Share (...) of light from the sky that passes the haze, for directions of z `up` (...) > 0."""
@@ -110,3 +109,47 @@ def sun_position(hour: float) -> tuple[float, float]:
     east, north = -np.sin(turn), -np.cos(turn) * np.sin(_LATITUDE_RAD)
     up = np.cos(turn) * np.cos(_LATITUDE_RAD)
     return float(np.arctan2(north, east)), float(np.arcsin(up))
+
+
+_TEXELS = 512
+# Size of the repeated tile of clouds, in heights of the cloud layer.
+_TILE = 6.0
+
+
+class Sky:
+    """The sky of a `Light`, with equal clouds in every picture, attenuated by `haze`.
+
+    The light must include the haze.
+    """
+
+    def __init__(self, light: Light, haze: Haze | None = None) -> None:
+        self._light = light
+        self._haze = haze
+        draws = np.random.default_rng(7).standard_normal((_TEXELS, _TEXELS))
+        heaps = sum(
+            ndimage.gaussian_filter(draws, sigma, mode="wrap") * sigma * weight
+            for sigma, weight in ((34.0, 1.5), (14.0, 1.0), (6.0, 0.55), (2.5, 0.3))
+        )
+        heaps = heaps / np.std(heaps)
+        cover = np.clip((heaps - 0.25) / 1.3, 0.0, 1.0)
+        self._cover = (cover * cover * (3.0 - 2.0 * cover)).astype(np.float32).ravel()
+
+    def colours(self, directions: Floats) -> Floats:
+        """Linear RGB (N, 3) along unit vectors (N, 3)."""
+        light = self._light
+        up = directions[:, 2]
+        colours = light.sky(up)
+        towards_sun = np.maximum(directions @ light.to_sun, 0.0)
+        colours += (0.22 * towards_sun**12 + 6.0 * (towards_sun > 0.99985))[:, None] * light.sun
+        high = np.flatnonzero(up > 0.02)
+        if len(high):
+            at = directions[high, :2] / (up[high, None] + 0.06) * np.float32(_TEXELS / _TILE)
+            cell = at.astype(np.int32) & (_TEXELS - 1)
+            cover = self._cover.take(cell[:, 1] * _TEXELS + cell[:, 0])
+            # Clouds fade towards the horizon, where the air hides them.
+            cover *= np.clip((up[high] - 0.02) * 5.0, 0.0, 1.0) * 0.75
+            if self._haze is not None:
+                cover *= self._haze.sky_transmittance(up[high])
+            white = 0.42 * light.sun + 0.2 * light.horizon
+            colours[high] += cover[:, None] * (white - colours[high])
+        return colours.astype(np.float32)

@@ -11,8 +11,7 @@ import trimesh
 from dune_rl.geometry.arrays import Array
 from dune_rl.physics.robot_body import RobotBody
 from dune_rl.rendering.light import srgb_to_linear
-from dune_rl.rendering.moving_mesh import MovingMesh
-from dune_rl.rendering.posed_mesh import PosedMesh, RayMesh
+from dune_rl.rendering.moving_mesh import MovingMesh, PosedMesh, RayMesh
 from dune_rl.rendering.scenery import ColouredMesh, Segment, join_meshes
 from dune_rl.robots.urdf.meshes import UrdfMeshes, primitive_mesh
 from dune_rl.robots.urdf.model import Geometry, read_urdf

@@ -232,7 +232,7 @@ class Camera:
         rays = directions.reshape(scenes, -1, 3), self._order
         for mesh, columns in self._meshes:
             own = poses if len(self._meshes) == 1 else poses[:, columns]
-            hit = mesh.first_hits(origin, *rays, own, farthest, view, ranges.reshape(scenes, -1))
+            hit = mesh.hits(origin, *rays, own, farthest, view, ranges.reshape(scenes, -1))
             if not len(hit.ray):
                 continue
             if normal is not None:

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from dune_rl.geometry.batched import BatchedHeightFields, BatchedRayScenes
-from dune_rl.rendering.beam_surface import BatchedBeamSurfaces
+from dune_rl.geometry.shared_per_scene import BatchedHeightFields, BatchedRayScenes
 from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.rendering.participating_media import BeamMedia
+from dune_rl.rendering.scenery import BatchedBeamSurfaces
 from dune_rl.sensors.camera import CameraConf, Cameras
 from dune_rl.sensors.navigation import Navigation
 from dune_rl.sensors.sensor import Sensor

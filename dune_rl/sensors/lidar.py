@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from dune_rl.geometry.arrays import Array, Floats
-from dune_rl.geometry.batched import AnyRays
+from dune_rl.geometry.shared_per_scene import AnyRays
 from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.sensors.beam_loops import find_ends, nearest_in_segments, turn_beams
 from dune_rl.sensors.mesh_columns import columns_by_mesh

@@ -7,9 +7,8 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from dune_rl.geometry.arrays import Array, Flags, Floats
-from dune_rl.geometry.batched import BatchedRayScenes
-from dune_rl.rendering.beam_surface import luminance
-from dune_rl.rendering.scenery import Segment
+from dune_rl.geometry.shared_per_scene import BatchedRayScenes
+from dune_rl.rendering.scenery import Segment, luminance
 from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.lidar import bearings, check_elevations, fan
 from dune_rl.sensors.medium import effects_of
@@ -199,7 +198,7 @@ class Lidar3d:
             if self._range_only:
                 mesh.shorten_ranges(origin, own[0], poses, conf.range_m, own[1])
                 continue
-            hit = mesh.first_hits(origin, own[0], self._order, poses, conf.range_m, view, own[1])
+            hit = mesh.hits(origin, own[0], self._order, poses, conf.range_m, view, own[1])
             segments[hit.ray] = mesh.segment
             brightness[hit.ray] = albedo[hit.face] * _incidence(hit.normal, directions[hit.ray])
         rest = (scenes, 0 if self._range_only else count)

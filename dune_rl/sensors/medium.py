@@ -6,11 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.geometry.arrays import Floats
-from dune_rl.rendering.beam_surface import luminance
 from dune_rl.rendering.foliage import BatchedFoliage, Foliage
-from dune_rl.rendering.grass_colour import grass_albedo
-from dune_rl.rendering.participating_media import BeamMedia, ParticipatingMedia
-from dune_rl.rendering.scenery import Segment
+from dune_rl.rendering.participating_media import BeamMedia, ParticipatingMedia, grass_albedo
+from dune_rl.rendering.scenery import Segment, luminance
 from dune_rl.sensors.draws import uniform
 from dune_rl.sensors.sensor import Mount, mount_position
 from dune_rl.state.state import GroupState

@@ -13,8 +13,7 @@ from dune_rl.core.errors import WorldError
 from dune_rl.core.settings import Settings
 from dune_rl.geometry.arrays import Array, Counts, Flags
 from dune_rl.tasks.spawned_body import SpawnedBody
-from dune_rl.worlds.free_space import FreeSpace
-from dune_rl.worlds.passage import water_depth
+from dune_rl.worlds.passage import FreeSpace, water_depth
 from dune_rl.worlds.world import Rectangle, World
 
 _GOAL_TRIES = 16

@@ -9,9 +9,8 @@ import scipy
 from dune_rl.geometry.arrays import Floats
 from dune_rl.geometry.heightfield import HeightField, cell_centres
 from dune_rl.rendering.baked_scenery import LAST_CACHED, BakedScenery
-from dune_rl.rendering.beam_surface import BeamSurface
 from dune_rl.rendering.light import Light, LightConf, srgb_to_linear
-from dune_rl.rendering.scenery import ColouredMesh, GroundTexture, Scenery, Segment, join_meshes
+from dune_rl.rendering.scenery import BeamSurface, ColouredMesh, Scenery, Segment, join_meshes
 from dune_rl.rendering.weather import Haze, WeatherConf, weather_light
 from dune_rl.worlds.cache.folder import DiskCache
 from dune_rl.worlds.grass import Grass
@@ -25,7 +24,7 @@ _UNSET_LIGHTS = (LightConf(), LightConf(sun_bearing_deg=126.050714929, sun_eleva
 
 def build_scenery(world: World) -> Scenery:
     """Ground and all props, including those that are only visible (water)."""
-    ground = GroundTexture(world.disk_cached("albedo of the ground", lambda: _ground_albedo(world)))
+    ground = world.disk_cached("albedo of the ground", lambda: _ground_albedo(world))
     return Scenery(world.terrain, ground, join_meshes([_coloured_mesh(prop) for prop in world.props]))
 
 
@@ -75,7 +74,7 @@ def _ground_albedo(world: World) -> Floats:
         ground = ground_texture(world.terrain, world.ground, world.texture_seed, world.surfaces)
     else:
         ground = ground_texture_from_picture(world.terrain, world.ground, world.texture_seed, world.picture)
-    return ground.albedo if world.grass is None else _shade_by_grass(ground.albedo, world.grass)
+    return ground if world.grass is None else _shade_by_grass(ground, world.grass)
 
 
 def with_own_sun(world: World, weather: WeatherConf) -> WeatherConf:
@@ -108,7 +107,7 @@ def beam_surface(world: World) -> BeamSurface:
 
 def _build_beam_surface(world: World) -> BeamSurface:
     scenery = build_scenery(world)
-    albedo = _face_albedo(world.terrain, scenery.ground.albedo)
+    albedo = _face_albedo(world.terrain, scenery.ground)
     solid = np.repeat([prop.solid for prop in world.props], [len(prop.faces) for prop in world.props])
     if len(solid) != len(scenery.props.faces):
         raise ValueError(

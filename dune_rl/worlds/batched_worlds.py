@@ -35,9 +35,8 @@ class WorldAppearance:
 class BatchedWorlds:
     """The world and the weather of each of M scenes.
 
-    Points and results have the leading axis M. Each query runs once per
-    distinct world, not once per scene; where all scenes share a world, it
-    costs as much as that world's own query.
+    Points and results have the leading axis M. Each query runs once per distinct world, not once per scene;
+    where all scenes share a world, it costs as much as that world's own query.
     """
 
     def __init__(self, scenes: Sequence[tuple[World, WeatherConf]]) -> None:

@@ -34,10 +34,9 @@ _CLEARED_BELOW_M, _HIGHEST_M = 0.1, 100.0
 class Grass:
     """Grass of `height_m` on `terrain`; `density` (rows, columns) is from 0 (no grass) to 1.
 
-    The grid's cells divide the terrain's rectangle evenly; the first is at the
-    lowest x and y. At density 1, light is attenuated by `extinction` and LiDAR
-    beams by `beam_extinction` [1/m], and a robot whose whole height is in the
-    grass is slowed by a drag of `drag_nspm` [N s/m] times its velocity.
+    The grid's cells divide the terrain's rectangle evenly; the first is at the lowest x and y. At density 1,
+    light is attenuated by `extinction` and LiDAR beams by `beam_extinction` [1/m], and a robot whose whole
+    height is in the grass is slowed by a drag of `drag_nspm` [N s/m] times its velocity.
     """
 
     terrain: HeightField
@@ -67,8 +66,7 @@ class Grass:
         """
         reach = self.terrain.height(bottom_w[:, :2]) + self.height_m - bottom_w[:, 2]
         share = np.clip(reach / robot_height_m, 0.0, 1.0)
-        coefficient: Array = self.drag_nspm * self.foliage.density_at(bottom_w) * share
-        return coefficient
+        return self.drag_nspm * self.foliage.density_at(bottom_w) * share
 
 
 def grow_grass(

@@ -10,7 +10,6 @@ from dune_rl.core.seeding import stream
 from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.geometry.heightfield import HeightField, cell_centres
 from dune_rl.rendering.light import srgb_to_linear
-from dune_rl.rendering.scenery import GroundTexture
 from dune_rl.worlds.fractal_terrain import smooth_step
 from dune_rl.worlds.surface_map import SurfaceMap
 
@@ -24,8 +23,7 @@ _MOST_TEXELS = 1024
 class GroundColours:
     """Colours (sRGB) of a ground: patches between `low` and `high`, and `bare` earth on steep slopes.
 
-    `bare_from_rad` is the slope above which earth shows; `contrast` scales the
-    brightness noise.
+    `bare_from_rad` is the slope above which earth shows; `contrast` scales the brightness noise.
     """
 
     low: Colour
@@ -79,23 +77,23 @@ def texture_shape(terrain: HeightField, texel_m: float = _TEXEL_M) -> tuple[int,
 
 def ground_texture_from_picture(
     terrain: HeightField, ground: GroundColours, seed: int, picture: GroundPicture
-) -> GroundTexture:
-    """Ground texture of a `picture`, with the brightness noise of `ground` where it is not detailed."""
+) -> Floats:
+    """Linear RGB (rows, columns, 3) of a `picture`, with the noise of `ground` where it is not detailed."""
     albedo = srgb_to_linear(picture.colours)
     if picture.detailed.all():
-        return GroundTexture(np.clip(albedo, 0.01, 0.95))
+        return np.clip(albedo, 0.01, 0.95)
     rows, columns = albedo.shape[:2]
-    plain = ground_texture(terrain, ground, seed).albedo
+    plain = ground_texture(terrain, ground, seed)
     zoom = (rows / plain.shape[0], columns / plain.shape[1], 1.0)
     grain = scipy.ndimage.zoom(plain / plain.mean(axis=(0, 1)), zoom, order=1, mode="nearest", grid_mode=True)
     grain[picture.detailed] = 1.0
-    return GroundTexture(np.clip(albedo * grain, 0.01, 0.95).astype(np.float32))
+    return np.clip(albedo * grain, 0.01, 0.95).astype(np.float32)
 
 
 def ground_texture(
     terrain: HeightField, ground: GroundColours, seed: int, surfaces: SurfaceMap | None = None
-) -> GroundTexture:
-    """Ground texture of `ground` on `terrain`, or of its `surfaces`; deterministic in `seed`."""
+) -> Floats:
+    """Linear RGB (rows, columns, 3) of `ground` on `terrain`, or of its `surfaces`, of a `seed`."""
     xmin, xmax, _, _ = terrain.extent
     rows, columns = texture_shape(terrain)
     rng = stream(seed, "ground texture")
@@ -119,11 +117,10 @@ def ground_texture(
         albedo = low + growth * (high - low)
         albedo = albedo + bare * (earth - albedo)
         # Grass has more contrast than earth.
-        shade = 1.0 + colours.contrast * (0.16 * grain[..., None] + 0.10 * patches[..., None]) * (
-            1.0 - 0.3 * bare
-        )
+        noise = 0.16 * grain[..., None] + 0.10 * patches[..., None]
+        shade = 1.0 + colours.contrast * noise * (1.0 - 0.3 * bare)
         texture += share[..., None] * (albedo * shade)
-    return GroundTexture(np.clip(texture, 0.01, 0.95).astype(np.float32))
+    return np.clip(texture, 0.01, 0.95).astype(np.float32)
 
 
 def _surface_layers(

@@ -13,8 +13,7 @@ from dune_rl.geometry.heightfield import HeightField, cell_centres
 from dune_rl.worlds.fractal_terrain import rough_field, smooth_step
 from dune_rl.worlds.grass import Grass, grow_grass
 from dune_rl.worlds.ground_texture import GroundColours
-from dune_rl.worlds.occupancy import OccupiedRectangles
-from dune_rl.worlds.props import unit_vector, upright_box
+from dune_rl.worlds.props import OccupiedRectangles, axes_of, unit_vector, upright_box
 from dune_rl.worlds.settings import GrassyConf, SeededConf
 from dune_rl.worlds.surface_map import SurfaceShare, surface_map
 from dune_rl.worlds.world import Colour, Prop, World
@@ -120,8 +119,7 @@ def _coast(seed: int, radius_m: float) -> Array:
 
 def _coast_distance(coast: Array, radius_m: float, angle: Array) -> Array:
     waves = coast[:, 0] * np.cos(angle[..., None] * np.arange(2, 6) + coast[:, 1])
-    distance: Array = radius_m + waves.sum(axis=-1)
-    return distance
+    return radius_m + waves.sum(axis=-1)
 
 
 def _terrain(conf: IslandConf, coast: Array) -> HeightField:
@@ -163,7 +161,7 @@ def _boxes(conf: IslandConf, terrain: HeightField) -> list[Prop]:
                 f"box {number + 1} of {count} fits nowhere. Lower it, or raise world.radius_m."
             )
         occupied.add(xy, yaw, length, width)
-        axes = np.stack([unit_vector(yaw), unit_vector(yaw + np.pi / 2)])
+        axes = axes_of(yaw)
         corners = xy + np.array([[1, 1], [1, -1], [-1, 1], [-1, -1], [0, 0]]) / 2 * [length, width] @ axes
         ground = terrain.height(corners)
         mesh = upright_box(xy, yaw, ground.min() - _SUNK_M, ground[-1] + height, length, width)
@@ -173,7 +171,7 @@ def _boxes(conf: IslandConf, terrain: HeightField) -> list[Prop]:
 
 
 def _grass(conf: IslandConf, terrain: HeightField, boxes: list[Prop]) -> Grass | None:
-    standing = [(prop.vertices, prop.faces) for prop in boxes]
+    standing = [prop.mesh for prop in boxes]
     grass = grow_grass(terrain, standing, conf.grass_cover, conf.grass_height_m, conf.seed)
     if grass is None:
         return None

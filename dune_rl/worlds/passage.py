@@ -4,13 +4,14 @@ The fields are made once for each world and kept with it (`World.memoize`).
 """
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from dune_rl.geometry.arrays import Array, Flags
-from dune_rl.geometry.grid_loops import interpolate_bilinear
+from dune_rl.geometry.heightfield import GridField
 from dune_rl.geometry.rays import RayScene
 from dune_rl.worlds.clearance import ClearanceField
 from dune_rl.worlds.props import merge_meshes
@@ -36,22 +37,6 @@ class GroundLimits:
     roughness_m: float = 1e3
 
 
-class GridField:
-    """Callable: values between the points of a regular grid, which is that of its edge beyond it."""
-
-    def __init__(self, values: NDArray[np.floating], origin: Array, cell_m: float) -> None:
-        rows, columns = values.shape
-        self._values = np.ascontiguousarray(values, np.float64).reshape(-1)
-        self._grid = origin, 1.0 / cell_m, np.array([columns - 1, rows - 1], np.float64)
-
-    def __call__(self, xy: Array) -> Array:
-        """Values (...) at points (..., 2)."""
-        points = np.ascontiguousarray(xy, np.float64)
-        found = np.empty(points.shape[:-1])
-        interpolate_bilinear(points.reshape(-1, 2), *self._grid, self._values, found.reshape(-1))
-        return found
-
-
 def ground_passage(world: World, limits: GroundLimits) -> GridField | None:
     """Distance [m] into ground that a body of `limits` can be on: negative where it cannot be.
 
@@ -64,7 +49,7 @@ def body_clearance(world: World, height_m: float) -> ClearanceField:
     """As `World.clearance`, for bodies of `height_m` that do not pass below what is lower, decks included."""
 
     def measure() -> ClearanceField:
-        solid = [(prop.vertices, prop.faces) for prop in world.props if prop.solid]
+        solid = [prop.mesh for prop in world.props if prop.solid]
         return ClearanceField(world.terrain, solid, top_m=height_m)
 
     return world.memoize(("body clearance", height_m), measure)
@@ -78,11 +63,8 @@ def roof_height(world: World, reach_m: float) -> GridField:
 def water_depth(world: World, xy: Array) -> Array:
     """Depth [m] of the water, (...), at points (..., 2); 0 on dry land."""
     points = xy.reshape(-1, 2)
-    level = _height_of_first(
-        [(prop.vertices, prop.faces) for prop in world.props if prop.kind == "water"], points
-    )
-    depth: Array = np.maximum(level - world.terrain.height(points), 0.0)
-    return depth.reshape(xy.shape[:-1])
+    level = _height_of_first([prop.mesh for prop in world.props if prop.kind == "water"], points)
+    return np.maximum(level - world.terrain.height(points), 0.0).reshape(xy.shape[:-1])
 
 
 def _height_of_first(meshes: list[tuple[Array, NDArray[np.int32]]], points: Array) -> Array:
@@ -111,10 +93,8 @@ def _measure_passage(world: World, limits: GroundLimits) -> GridField | None:
     level = scipy.ndimage.uniform_filter(heights, window, mode="nearest")
     along_y, along_x = np.gradient(level, cell)
     passable: Flags = np.hypot(along_x, along_y) <= np.tan(np.deg2rad(min(limits.max_slope_deg, 89.9)))
-    low, high = (
-        scipy.ndimage.minimum_filter(heights - level, window),
-        scipy.ndimage.maximum_filter(heights - level, window),
-    )
+    low = scipy.ndimage.minimum_filter(heights - level, window)
+    high = scipy.ndimage.maximum_filter(heights - level, window)
     passable &= (high <= limits.roughness_m) & (low >= -limits.roughness_m)
     depth = water_depth(world, points)
     if depth.any():
@@ -130,16 +110,82 @@ def _measure_passage(world: World, limits: GroundLimits) -> GridField | None:
 
 def _measure_roof(world: World, reach_m: float) -> GridField:
     points, origin, cell = _lattice(world)
-    solid = [(prop.vertices, prop.faces) for prop in world.props if prop.solid]
-    top = np.maximum(
-        _height_of_first(solid, points.reshape(-1, 2)).reshape(points.shape[:-1]),
-        world.terrain.height(points),
-    )
+    solid = [prop.mesh for prop in world.props if prop.solid]
+    above = _height_of_first(solid, points.reshape(-1, 2)).reshape(points.shape[:-1])
+    top = np.maximum(above, world.terrain.height(points))
     # A thin post can stand between the points of the grid: the vertices of props count too.
     for vertices, _ in solid:
         columns, rows = np.round((vertices[:, :2] - origin) / cell).astype(int).T
         known = (rows >= 0) & (rows < top.shape[0]) & (columns >= 0) & (columns < top.shape[1])
         np.maximum.at(top, (rows[known], columns[known]), vertices[known, 2])
-    return GridField(
-        scipy.ndimage.maximum_filter(top, 1 + 2 * int(np.ceil(reach_m / cell + 0.5))), origin, cell
-    )
+    width = 1 + 2 * int(np.ceil(reach_m / cell + 0.5))
+    return GridField(scipy.ndimage.maximum_filter(top, width), origin, cell)
+
+
+Value = TypeVar("Value", bound=np.generic)
+
+_MAX_CELLS = 4_000_000
+_CELLS_AT_ONCE = 16_384
+
+
+class FreeSpace:
+    """Grid over the world that marks traversable cells and labels their connected components.
+
+    A cell is traversable if slope and clearance at its centre admit a round robot of `footprint_radius_m`, at
+    least `edge_m` from the world's edge and not on or under a drivable prop. `components` (rows, columns) is
+    0 for cells that are not traversable, else the number of the 4-connected component.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        footprint_radius_m: float,
+        max_slope_deg: float,
+        *,
+        cell_m: float = 0.1,
+        edge_m: float = 1.0,
+    ) -> None:
+        xmin, xmax, ymin, ymax = world.extent
+        self.cell_m = max(cell_m, float(np.sqrt((xmax - xmin) * (ymax - ymin) / _MAX_CELLS)))
+        self.x: Array = np.arange(xmin + self.cell_m / 2, xmax, self.cell_m)
+        self.y: Array = np.arange(ymin + self.cell_m / 2, ymax, self.cell_m)
+        self.clearance: Array = np.empty((len(self.y), len(self.x)))
+        self.steep: Flags = np.empty(self.clearance.shape, bool)
+        # In parts: what queries need on the way is ten times as large as what they give.
+        rows = max(1, _CELLS_AT_ONCE // len(self.x))
+        for first in range(0, len(self.y), rows):
+            part = slice(first, first + rows)
+            centres = np.stack(np.meshgrid(self.x, self.y[part]), axis=-1)
+            self.clearance[part] = world.clearance(centres)
+            self.steep[part] = world.terrain.slope(centres) > np.deg2rad(max_slope_deg)
+        self.blocked: Flags = self.clearance < footprint_radius_m
+        for prop in world.props:
+            if prop.solid and prop.drivable:
+                low, high = prop.vertices.min(axis=0), prop.vertices.max(axis=0)
+                centre, reach = (low + high) / 2, (high - low) / 2 + footprint_radius_m
+                over_x = np.abs(self.x - centre[0]) < reach[0]
+                over_y = np.abs(self.y - centre[1]) < reach[1]
+                self.blocked |= over_y[:, None] & over_x
+        inside_x = (self.x >= xmin + edge_m) & (self.x <= xmax - edge_m)
+        inside_y = (self.y >= ymin + edge_m) & (self.y <= ymax - edge_m)
+        self.inside: Flags = inside_y[:, None] & inside_x
+        self.traversable: Flags = self.inside & ~self.steep & ~self.blocked
+        self.components: NDArray[np.int32]
+        self.components, _ = scipy.ndimage.label(self.traversable)
+
+    def centres(self, cells: Flags) -> Array:
+        """Centres (K, 2) [m] of the True cells of a grid (rows, columns)."""
+        rows, columns = np.nonzero(cells)
+        return np.stack([self.x[columns], self.y[rows]], axis=-1)
+
+    def component_at(self, xy: ArrayLike) -> NDArray[np.int32]:
+        """Component numbers (...) at points (..., 2); 0 where not traversable."""
+        return self.values_at(self.components, xy)
+
+    def values_at(self, cells: NDArray[Value], xy: ArrayLike) -> NDArray[Value]:
+        """Values (...) of a grid `cells` (rows, columns) at points (..., 2); 0 or False outside."""
+        points = np.asarray(xy, dtype=np.float64)
+        index = np.floor((points - [self.x[0], self.y[0]]) / self.cell_m + 0.5).astype(int)
+        column, row = index[..., 0], index[..., 1]
+        inside = (column >= 0) & (column < len(self.x)) & (row >= 0) & (row < len(self.y))
+        return cells[np.where(inside, row, 0), np.where(inside, column, 0)] * inside

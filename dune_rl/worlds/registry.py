@@ -17,7 +17,7 @@ WORLDS: Registry[World] = Registry(
         "flat": "dune_rl.worlds.flat:build_flat",
         "inspection": "dune_rl.worlds.inspection.build:build_inspection",
         "construction": "dune_rl.worlds.construction.build:build_construction",
-        "rubicon": "dune_rl.worlds.rubicon.build:build_rubicon",
+        "rubicon": "dune_rl.worlds.rubicon:build_rubicon",
         "island": "dune_rl.worlds.island:build_island",
         "mesh": "dune_rl.worlds.importing.mesh_world:build_mesh",
         "heightmap": "dune_rl.worlds.importing.heightmap_world:build_heightmap",

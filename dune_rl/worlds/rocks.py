@@ -28,8 +28,7 @@ def relative_count_larger(width_m: ArrayLike) -> Array:
     """Number of rocks wider than `width_m`, relative to those wider than `COUNTED_FROM_M`."""
     most = (LARGEST_M / COUNTED_FROM_M) ** -SIZE_EXPONENT
     width = np.clip(width_m, SMALLEST_M, LARGEST_M)
-    share: Array = ((width / COUNTED_FROM_M) ** -SIZE_EXPONENT - most) / (1.0 - most)
-    return share
+    return ((width / COUNTED_FROM_M) ** -SIZE_EXPONENT - most) / (1.0 - most)
 
 
 def power_law_widths(count: int) -> Array:
@@ -56,7 +55,7 @@ def rock(terrain: HeightField, name: str, xy: ArrayLike, width: float, rng: np.r
 
 def merge_rocks(name: str, kind: str, rocks: Sequence[Prop], *, drivable: bool = False) -> Prop:
     """Several rocks as one prop with the colour of the first."""
-    mesh = merge_meshes((rock.vertices, rock.faces) for rock in rocks)
+    mesh = merge_meshes(rock.mesh for rock in rocks)
     return Prop(name, kind, *mesh, drivable=drivable, colour=rocks[0].colour, surface="rock")
 
 

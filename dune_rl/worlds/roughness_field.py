@@ -1,10 +1,9 @@
 """Roughness of the ground: RMS height about the plane of best fit, on a grid."""
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from dune_rl.geometry.arrays import Array, Flags, Floats
-from dune_rl.geometry.heightfield import HeightField
+from dune_rl.geometry.arrays import Array, Flags
+from dune_rl.geometry.heightfield import GridField, HeightField
 
 # Lattice spacings per radius: 197 points in a disc.
 _RESOLUTION = 8
@@ -12,7 +11,7 @@ _MAX_POINTS = 4_000_000
 _LEAST_RESOLUTION = 3
 
 
-class RoughnessField:
+class RoughnessField(GridField):
     """Callable: the roughness [m] of the ground within `radius_m` of any points.
 
     Roughness is the root mean square height about the least-squares plane in a disc seen from above: the
@@ -24,41 +23,20 @@ class RoughnessField:
     def __init__(self, terrain: HeightField, radius_m: float) -> None:
         xmin, xmax, ymin, ymax = terrain.extent
         least = float(np.sqrt((xmax - xmin) * (ymax - ymin) / _MAX_POINTS))
-        self._step = max(radius_m / _RESOLUTION, least)
-        if not radius_m >= _LEAST_RESOLUTION * self._step:
+        step = max(radius_m / _RESOLUTION, least)
+        if not radius_m >= _LEAST_RESOLUTION * step:
             raise ValueError(
                 f"radius_m={radius_m:g} is too small for a world of {xmax - xmin:g} by {ymax - ymin:g} m: "
                 f"use {_LEAST_RESOLUTION * least:.2g} or more"
             )
-        reach = int(radius_m / self._step + 1e-9)
-        cells = np.ceil(np.array([xmax - xmin, ymax - ymin]) / self._step).astype(int)
-        columns, rows = (np.arange(-reach, count + reach + 1) * self._step for count in cells)
+        reach = int(radius_m / step + 1e-9)
+        cells = np.ceil(np.array([xmax - xmin, ymax - ymin]) / step).astype(int)
+        columns, rows = (np.arange(-reach, count + reach + 1) * step for count in cells)
         lattice = np.stack(np.meshgrid(xmin + columns, ymin + rows), axis=-1)
-        offsets = self._step * np.arange(-reach, reach + 1, dtype=np.float64)
+        offsets = step * np.arange(-reach, reach + 1, dtype=np.float64)
         disc = np.hypot(offsets[:, None], offsets) <= radius_m + 1e-9
         rms = _rms_about_plane(terrain.height(lattice), disc, offsets)
-        self._origin = np.array([xmin, ymin])
-        self._columns = rms.shape[1]
-        self._last = np.array([rms.shape[1] - 1, rms.shape[0] - 1], dtype=np.float64)
-        self._rms = rms.astype(np.float32).reshape(-1)
-
-    def __call__(self, xy: ArrayLike) -> Array:
-        """Roughness [m], shape (...), at points (..., 2)."""
-        at = (np.asarray(xy, dtype=np.float64) - self._origin) * (1.0 / self._step)
-        return _interpolate(self._rms, self._columns, self._last, at)
-
-
-def _interpolate(values: Floats, columns: int, last: Array, at: Array) -> Array:
-    """Bilinear values (...) of a flat grid with `columns` columns at (..., 2) cells, clipped to `last`."""
-    at = np.fmin(np.fmax(at, 0.0), last)
-    cell = np.minimum(at.astype(np.intp), last.astype(np.intp) - 1)
-    at = at - cell
-    x, y = at[..., 0], at[..., 1]
-    corner = cell[..., 1] * columns + cell[..., 0]
-    low = values[corner] * (1 - x) + values[corner + 1] * x
-    high = values[corner + columns] * (1 - x) + values[corner + columns + 1] * x
-    result: Array = low * (1 - y) + high * y
-    return result
+        super().__init__(rms.astype(np.float32), [xmin, ymin], step)
 
 
 def _rms_about_plane(heights: Array, disc: Flags, offsets: Array) -> Array:
@@ -70,8 +48,7 @@ def _rms_about_plane(heights: Array, disc: Flags, offsets: Array) -> Array:
     ones = disc.astype(np.float64)
 
     def weighted_sum(values: Array, weights: Array) -> Array:
-        total: Array = oaconvolve(values, weights[::-1, ::-1], mode="valid")
-        return total
+        return oaconvolve(values, weights[::-1, ::-1], mode="valid")
 
     centred = heights - heights.mean()
     mean = weighted_sum(centred, ones) / count
@@ -80,5 +57,4 @@ def _rms_about_plane(heights: Array, disc: Flags, offsets: Array) -> Array:
     slope_x = weighted_sum(centred, ones * offsets) / spread
     slope_y = weighted_sum(centred, ones * offsets[:, None]) / spread
     variance = weighted_sum(centred**2, ones) / count - mean**2 - (slope_x**2 + slope_y**2) * (spread / count)
-    root: Array = np.sqrt(np.maximum(variance, 0.0))
-    return root
+    return np.sqrt(np.maximum(variance, 0.0))

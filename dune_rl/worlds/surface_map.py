@@ -75,8 +75,7 @@ class SurfaceMap:
         """Surface numbers (...) at points (..., 2); outside the map, those of its edge."""
         cell = ((np.asarray(xy, np.float64) - self._low) * self._per_m).astype(np.intp)
         np.clip(cell, 0, self._last, out=cell)
-        numbers: Numbers = self._flat[cell[..., 1] * (self._last[0] + 1) + cell[..., 0]]
-        return numbers
+        return self._flat[cell[..., 1] * (self._last[0] + 1) + cell[..., 0]]
 
 
 class Deck(NamedTuple):

@@ -15,9 +15,8 @@ SurfaceChoice = Literal["uniform", "natural", "grass", "gravel", "mud", "sand", 
 class Soil:
     """Bekker's soil model: pressure at depth z is (k_c / b + k_phi) z^n under a strip of width b.
 
-    `k_c` is in N/m^(n+1), `k_phi` in N/m^(n+2). M. G. Bekker, Introduction to
-    Terrain-Vehicle Systems (1969); J. Y. Wong, Theory of Ground Vehicles,
-    chapter 2.
+    `k_c` is in N/m^(n+1), `k_phi` in N/m^(n+2). M. G. Bekker, Introduction to Terrain-Vehicle Systems (1969);
+    J. Y. Wong, Theory of Ground Vehicles, chapter 2.
     """
 
     k_c: float
@@ -27,9 +26,8 @@ class Soil:
     def sinkage_m(self, load_n: float, diameter_m: float, width_m: float) -> float:
         """Sinkage [m] of a rigid wheel under `load_n` [N].
 
-        z^((2n+1)/2) = 3 W / ((3 - n) (k_c + b k_phi) sqrt(D)), valid for n up
-        to 1.3 and a sinkage small compared with the diameter D (Wong,
-        chapter 2, after Bekker).
+        z^((2n+1)/2) = 3 W / ((3 - n) (k_c + b k_phi) sqrt(D)), valid for n up to 1.3 and a sinkage small
+        compared with the diameter D (Wong, chapter 2, after Bekker).
         """
         stiffness = self.k_c + width_m * self.k_phi
         ratio = 3.0 * load_n / ((3.0 - self.n) * stiffness * np.sqrt(diameter_m))
@@ -45,9 +43,8 @@ class Soil:
 class Surface:
     """Contact properties of a rubber wheel on a ground material.
 
-    `friction` and `restitution` are those of the pair of materials;
-    `stiffness_npm` [N/m] and `damping_nspm` [N s/m] those of one wheel's
-    contact; `rolling_resistance` is the resisting force over the load. `soil`
+    `friction` and `restitution` are those of the pair of materials; `stiffness_npm` [N/m] and `damping_nspm`
+    [N s/m] those of one wheel's contact; `rolling_resistance` is the resisting force over the load. `soil`
     determines sinkage, where that is enabled; `source` cites the figures.
     """
 
@@ -85,102 +82,55 @@ _TOOLBOX = "The Engineering ToolBox, Rolling Resistance"
 _HOEK = "Hoek, Practical Rock Engineering, table of rockfall"
 _OBRZUD = "Obrzud and Truty, The Hardening Soil Model (2012), after Kezdi and Prat"
 
-SURFACES: tuple[Surface, ...] = (
-    Surface(
-        "grass",
-        friction=0.5,
-        restitution=0.30,
-        stiffness_npm=2.2e5,
-        damping_nspm=4.4e3,
-        rolling_resistance=0.07,
-        source=(
-            "friction: chosen between wet grass, 0.2 (Noon, Engineering Analysis of Vehicular "
-            f"Accidents, 1994), and a dry earth road, 0.65 to 0.68 ({_WONG}); restitution: soft soil "
-            f"with vegetation ({_HOEK}); stiffness: E = 5 MPa, soft silt ({_OBRZUD}); rolling: medium "
-            f"hard soil, 0.04 to 0.08 ({_TOOLBOX})"
-        ),
+_SOURCES = {
+    "grass": (
+        "friction: chosen between wet grass, 0.2 (Noon, Engineering Analysis of Vehicular "
+        f"Accidents, 1994), and a dry earth road, 0.65 to 0.68 ({_WONG}); restitution: soft soil "
+        f"with vegetation ({_HOEK}); stiffness: E = 5 MPa, soft silt ({_OBRZUD}); rolling: medium "
+        f"hard soil, 0.04 to 0.08 ({_TOOLBOX})"
     ),
-    Surface(
-        "gravel",
-        friction=0.6,
-        restitution=0.32,
-        stiffness_npm=1.3e6,
-        damping_nspm=2.6e4,
-        rolling_resistance=0.06,
-        source=(
-            f"friction: gravel, 0.6 at its peak ({_WONG}); restitution: talus ({_HOEK}); stiffness: E "
-            f"= 30 MPa, loose gravel ({_OBRZUD}); rolling: loose gravel, 0.06 (Moyer, in Marks' "
-            "Standard Handbook for Mechanical Engineers)"
-        ),
+    "gravel": (
+        f"friction: gravel, 0.6 at its peak ({_WONG}); restitution: talus ({_HOEK}); stiffness: E "
+        f"= 30 MPa, loose gravel ({_OBRZUD}); rolling: loose gravel, 0.06 (Moyer, in Marks' "
+        "Standard Handbook for Mechanical Engineers)"
     ),
-    Surface(
-        "mud",
-        friction=0.45,
-        restitution=0.0,
-        stiffness_npm=4.4e4,
-        damping_nspm=1.8e3,
-        rolling_resistance=0.15,
-        soil=Soil(k_c=2.56e3, k_phi=43.12e3, n=0.2),
-        source=(
-            f"friction: wet earth road, 0.4 to 0.5 sliding ({_WONG}); restitution: chosen, it flows; "
-            f"stiffness: E = 1 MPa, very soft clay ({_OBRZUD}); rolling: field, 0.1 to 0.35 (Wong, "
-            f"Theory of Ground Vehicles); soil: sandy loam with 22 % of water ({_LLL})"
-        ),
+    "mud": (
+        f"friction: wet earth road, 0.4 to 0.5 sliding ({_WONG}); restitution: chosen, it flows; "
+        f"stiffness: E = 1 MPa, very soft clay ({_OBRZUD}); rolling: field, 0.1 to 0.35 (Wong, "
+        f"Theory of Ground Vehicles); soil: sandy loam with 22 % of water ({_LLL})"
     ),
-    Surface(
-        "sand",
-        friction=0.53,
-        restitution=0.05,
-        stiffness_npm=4.4e5,
-        damping_nspm=8.8e3,
-        rolling_resistance=0.2,
-        soil=Soil(k_c=0.99e3, k_phi=1528.43e3, n=1.1),
-        source=(
-            f"friction: tan 28 degrees, the angle of shearing of dry sand ({_LLL}), its small cohesion "
-            "left out; restitution: chosen, its grains take up the blow; stiffness: E = 10 MPa, loose "
-            f"uniform sand ({_OBRZUD}); rolling: loose sand, 0.2 to 0.4 ({_TOOLBOX}), 0.1 to 0.2 "
-            f"(Carvill, Mechanical Engineer's Data Handbook, 1993); soil: dry sand ({_LLL})"
-        ),
+    "sand": (
+        f"friction: tan 28 degrees, the angle of shearing of dry sand ({_LLL}), its small cohesion "
+        "left out; restitution: chosen, its grains take up the blow; stiffness: E = 10 MPa, loose "
+        f"uniform sand ({_OBRZUD}); rolling: loose sand, 0.2 to 0.4 ({_TOOLBOX}), 0.1 to 0.2 "
+        f"(Carvill, Mechanical Engineer's Data Handbook, 1993); soil: dry sand ({_LLL})"
     ),
-    Surface(
-        "rock",
-        friction=0.75,
-        restitution=0.53,
-        stiffness_npm=1e7,
-        damping_nspm=2e5,
-        rolling_resistance=0.03,
-        source=(
-            f"friction: chosen, as locked wheels on dry asphalt ({_WONG}); restitution: clean hard "
-            f"bedrock ({_HOEK}); stiffness: chosen, since tens of GPa are rigid to an engine; rolling: "
-            f"large worn cobbles, 0.03 ({_TOOLBOX})"
-        ),
+    "rock": (
+        f"friction: chosen, as locked wheels on dry asphalt ({_WONG}); restitution: clean hard "
+        f"bedrock ({_HOEK}); stiffness: chosen, since tens of GPa are rigid to an engine; rolling: "
+        f"large worn cobbles, 0.03 ({_TOOLBOX})"
     ),
-    Surface(
-        "concrete",
-        friction=0.8,
-        restitution=0.40,
-        stiffness_npm=1e7,
-        damping_nspm=2e5,
-        rolling_resistance=0.015,
-        source=(
-            f"friction: dry concrete, 0.8 to 0.9 at its peak and 0.75 sliding ({_WONG}); restitution: "
-            f"asphalt ({_HOEK}); stiffness: chosen, since tens of GPa are rigid to an engine; rolling: "
-            f"0.010 to 0.015 ({_TOOLBOX})"
-        ),
+    "concrete": (
+        f"friction: dry concrete, 0.8 to 0.9 at its peak and 0.75 sliding ({_WONG}); restitution: "
+        f"asphalt ({_HOEK}); stiffness: chosen, since tens of GPa are rigid to an engine; rolling: "
+        f"0.010 to 0.015 ({_TOOLBOX})"
     ),
-    Surface(
-        "wood",
-        friction=0.6,
-        restitution=0.40,
-        stiffness_npm=5e6,
-        damping_nspm=1e5,
-        rolling_resistance=0.02,
-        source=(
-            "chosen: planks neither clean and dry nor wet, between concrete and gravel in grip and in "
-            "rolling, and nearly rigid, since no table for tyres on decks was found"
-        ),
+    "wood": (
+        "chosen: planks neither clean and dry nor wet, between concrete and gravel in grip and in "
+        "rolling, and nearly rigid, since no table for tyres on decks was found"
     ),
+}
+_ROWS: tuple[tuple[SurfaceName, tuple[float, float, float, float, float], Soil | None], ...] = (
+    # Friction, restitution, stiffness [N/m], damping [N s/m] and rolling resistance.
+    ("grass", (0.5, 0.30, 2.2e5, 4.4e3, 0.07), None),
+    ("gravel", (0.6, 0.32, 1.3e6, 2.6e4, 0.06), None),
+    ("mud", (0.45, 0.0, 4.4e4, 1.8e3, 0.15), Soil(k_c=2.56e3, k_phi=43.12e3, n=0.2)),
+    ("sand", (0.53, 0.05, 4.4e5, 8.8e3, 0.2), Soil(k_c=0.99e3, k_phi=1528.43e3, n=1.1)),
+    ("rock", (0.75, 0.53, 1e7, 2e5, 0.03), None),
+    ("concrete", (0.8, 0.40, 1e7, 2e5, 0.015), None),
+    ("wood", (0.6, 0.40, 5e6, 1e5, 0.02), None),
 )
+SURFACES = tuple(Surface(name, *numbers, soil, _SOURCES[name]) for name, numbers, soil in _ROWS)
 SURFACE_NAMES: tuple[SurfaceName, ...] = get_args(SurfaceName)
 
 
@@ -198,13 +148,11 @@ def contact_table(
 ) -> tuple[Array, Array]:
     """Contact and rolling parameters of a wheel on each of S surfaces.
 
-    The first array, (S, 4), is friction, restitution, stiffness [N/m] and
-    damping [N s/m] of a contact; the second, (S,), rolling resistance over load.
-    With `sinkage`, the contact on a soil has the surface's stiffness in series
-    with W / z, for the load W and Bekker's sinkage z, and is critically damped,
-    since soil does not spring back. The rolling resistance is then that of the
-    tyre plus that of compaction, instead of the surface's figure, which
-    includes both.
+    The first array, (S, 4), is friction, restitution, stiffness [N/m] and damping [N s/m] of a contact; the
+    second, (S,), rolling resistance over load. With `sinkage`, the contact on a soil has the surface's
+    stiffness in series with W / z, for the load W and Bekker's sinkage z, and is critically damped, since
+    soil does not spring back. The rolling resistance is then that of the tyre plus that of compaction,
+    instead of the surface's figure, which includes both.
     """
     contacts = np.array([[s.friction, s.restitution, s.stiffness_npm, s.damping_nspm] for s in surfaces])
     rolling = np.array([s.rolling_resistance for s in surfaces])

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.scenery import Segment
-from dune_rl.worlds.props import Mesh, level_axes, merge_meshes, unit_vector
+from dune_rl.worlds.props import Mesh, limb, merge_meshes, unit_vector
 from dune_rl.worlds.world import Colour, Prop
 
 _BARK: tuple[Colour, ...] = ((0.34, 0.26, 0.19), (0.40, 0.33, 0.26), (0.30, 0.24, 0.18))
@@ -47,7 +47,7 @@ def broadleaf(
     fork = np.array([*(foot[:2] + rng.normal(0.0, 0.03 * size.height_m, 2)), ground + 0.45 * size.height_m])
     flare = np.array([*foot[:2], ground + 0.35])
     radii = size.radius_m * np.array([1.25, 1.0, 0.7])
-    wood = [_limb(np.array([foot, flare, fork]), radii)]
+    wood = [limb(np.array([foot, flare, fork]), radii)]
     turn = rng.uniform(-np.pi, np.pi)
     up = np.array([0.0, 0.0, size.height_m])
     ends = [fork + 0.28 * up]
@@ -56,7 +56,7 @@ def broadleaf(
         reach = 0.30 * size.crown_m
         end = fork + float(rng.uniform(0.14, 0.26)) * up
         end[:2] += reach * unit_vector(yaw)
-        wood.append(_limb(np.array([fork - [0.0, 0.0, 0.1], end]), size.radius_m * np.array([0.5, 0.2])))
+        wood.append(limb(np.array([fork - [0.0, 0.0, 0.1], end]), size.radius_m * np.array([0.5, 0.2])))
         ends.append(end)
     leaves: list[list[Mesh]] = [[], [], []]
     for number, end in enumerate(ends):
@@ -78,7 +78,7 @@ def conifer(
     ground = foot[2] + _SUNK_M
     top = np.array([*foot[:2], ground + 1.1 * size.height_m])
     flare = np.array([*foot[:2], ground + 0.3])
-    wood = _limb(np.array([foot, flare, top]), size.radius_m * np.array([1.2, 0.95, 0.1]))
+    wood = limb(np.array([foot, flare, top]), size.radius_m * np.array([1.2, 0.95, 0.1]))
     tiers: list[list[Mesh]] = [[], []]
     count = 5 + int(size.height_m > 5.0) + int(size.height_m > 7.0)
     low, high = ground + 0.16 * size.height_m, top[2] + 0.15
@@ -98,15 +98,8 @@ def conifer(
 
 def _foliage(name: str, kind: str, shades: Sequence[Sequence[Mesh]], colours: Sequence[Colour]) -> list[Prop]:
     return [
-        Prop(
-            f"{name} {number + 1}",
-            kind,
-            *merge_meshes(shade),
-            solid=False,
-            colour=colour,
-            segment=Segment.VEGETATION,
-        )
-        for number, (shade, colour) in enumerate(zip(shades, colours, strict=True))
+        Prop(f"{name} {k}", kind, *merge_meshes(shade), False, colour=colour, segment=Segment.VEGETATION)
+        for k, (shade, colour) in enumerate(zip(shades, colours, strict=True), start=1)
         if shade
     ]
 
@@ -121,7 +114,7 @@ def fallen_trunk(
     pitch, level = np.polyfit(s, ground, 1)
     level += float((ground - level - pitch * s).min()) + radius / 3
     ends = [[*(np.asarray(xy) + u * along), level + pitch * u] for u in (s[0], s[4], s[-1])]
-    mesh = _limb(np.array(ends), radius * np.array([1.0, 0.92, 0.8]), sides=9)
+    mesh = limb(np.array(ends), radius * np.array([1.0, 0.92, 0.8]), sides=9)
     return Prop(name, "log", *mesh, colour=(0.37, 0.29, 0.22))
 
 
@@ -141,26 +134,6 @@ def _foot(terrain: HeightField, xy: ArrayLike, radius: float) -> Array:
     around = 1.25 * radius * np.stack([unit_vector(yaw) for yaw in np.linspace(-np.pi, np.pi, 9)])
     ground = terrain.height(np.asarray(xy) + around).min()
     return np.array([*np.asarray(xy, dtype=np.float64), ground - _SUNK_M])
-
-
-def _limb(nodes: Array, radii: Array, sides: int = 7) -> Mesh:
-    # A closed tube through `nodes` (N, 3) with radii (N,) at them.
-    angle = np.linspace(0.0, 2 * np.pi, sides, endpoint=False)
-    # All rings have the same axes, so that the tube is not twisted.
-    _, side, up = level_axes(nodes[-1] - nodes[0])
-    circle = np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * up
-    rings = [node + radius * circle for node, radius in zip(nodes, radii, strict=True)]
-    here = np.arange(sides)
-    there = np.roll(here, -1)
-    faces = []
-    for i in range(len(nodes) - 1):
-        a, b, c, d = here + i * sides, there + i * sides, here + (i + 1) * sides, there + (i + 1) * sides
-        faces += [np.stack([a, b, d], axis=1), np.stack([a, d, c], axis=1)]
-    last = (len(nodes) - 1) * sides
-    start, end = len(nodes) * sides, len(nodes) * sides + 1
-    faces.append(np.stack([np.full(sides, start), there, here], axis=1))
-    faces.append(np.stack([np.full(sides, end), here + last, there + last], axis=1))
-    return np.concatenate([*rings, nodes[:1], nodes[-1:]]), np.concatenate(faces).astype(np.int32)
 
 
 def _clump(rng: np.random.Generator, centre: Array, radii: Array, count: int, leaf_m: float) -> list[Mesh]:

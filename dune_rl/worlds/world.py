@@ -3,7 +3,7 @@
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,16 +16,19 @@ from dune_rl.rendering.mesh_texture import MeshTexture
 from dune_rl.rendering.scenery import Segment
 from dune_rl.worlds.actor_trajectory import ActorTrajectory
 from dune_rl.worlds.cache.folder import DiskCache
-from dune_rl.worlds.clearance import ClearanceField, NearestObstacle, ObstacleSearch
+from dune_rl.worlds.clearance import ClearanceField, NearestObstacle
 from dune_rl.worlds.grass import Grass
 from dune_rl.worlds.ground_texture import MEADOW, GroundColours, GroundPicture
-from dune_rl.worlds.region_candidates import Rectangle, RegionCandidate
+from dune_rl.worlds.props import Mesh, merge_meshes
 from dune_rl.worlds.roughness_field import RoughnessField
 from dune_rl.worlds.surface_map import Deck, Decks, SurfaceMap
 from dune_rl.worlds.surfaces import SurfaceName
 
 Colour = tuple[float, float, float]
+Rectangle = tuple[float, float, float, float]
 T = TypeVar("T")
+
+BETWEEN_OBJECTS, OPEN_GROUND = "between objects", "open ground"
 
 # About half a robot's length, so that the disc holds all wheels of a robot.
 ROUGHNESS_RADIUS_M = 0.5
@@ -35,14 +38,12 @@ ROUGHNESS_RADIUS_M = 0.5
 class Prop:
     """A fixed object, as one mesh in the world frame: `vertices` (V, 3) [m], `faces` (F, 3).
 
-    `solid=False` (water) is only visible: physics and LiDAR beams pass it.
-    `drivable=True` (a bridge's deck) counts as ground: touching it is no
-    collision. `colour` is sRGB in [0, 1]; `face_colours` (F, 3) give each face
-    its own colour, `texture` its own picture. A solid prop consists of closed
-    surfaces whose faces run counter-clockwise seen from outside.
-    `segment` overrides the semantic class that follows from the other fields.
-    `surface` is the material of a drivable prop in a world with a surface map;
-    None: that of the ground below it.
+    `solid=False` (water) is only visible: physics and LiDAR beams pass it. `drivable=True` (a bridge's deck)
+    counts as ground: touching it is no collision. `colour` is sRGB in [0, 1]; `face_colours` (F, 3) give each
+    face its own colour, `texture` its own picture. A solid prop consists of closed surfaces whose faces run
+    counter-clockwise seen from outside. `segment` overrides the semantic class that follows from the other
+    fields. `surface` is the material of a drivable prop in a world with a surface map; None: that of the
+    ground below it.
     """
 
     name: str
@@ -58,6 +59,11 @@ class Prop:
     texture: MeshTexture | None = None
 
     @property
+    def mesh(self) -> Mesh:
+        """`vertices` and `faces`."""
+        return self.vertices, self.faces
+
+    @property
     def segment_class(self) -> Segment:
         """Semantic class in segmentations: `segment` if given, else from `kind` and `drivable`."""
         if self.segment is not None:
@@ -65,6 +71,26 @@ class Prop:
         if self.kind == "water":
             return Segment.WATER
         return Segment.DECK if self.drivable else Segment.OBSTACLE
+
+
+@dataclass(frozen=True)
+class RegionCandidate:
+    """A rectangle (xmin, xmax, ymin, ymax) [m] in which a robot can drive from one place to another.
+
+    `place` says what is around it: `BETWEEN_OBJECTS` or `OPEN_GROUND`. `free_m2` is the area of the positions
+    that the middle of a robot can take.
+    """
+
+    rectangle: Rectangle
+    place: str
+    free_m2: float
+
+    def describe(self) -> str:
+        """Where the rectangle is and why it was chosen, as part of a sentence."""
+        xmin, xmax, ymin, ymax = self.rectangle
+        where = f"x {xmin:.4g} to {xmax:.4g}, y {ymin:.4g} to {ymax:.4g} m"
+        share = self.free_m2 / ((xmax - xmin) * (ymax - ymin))
+        return f"{where}: {self.place}, {min(share, 1.0):.0%} of it free and connected"
 
 
 class SolidMesh(NamedTuple):
@@ -78,20 +104,18 @@ class SolidMesh(NamedTuple):
 class World:
     """Terrain and props, with the queries that physics, sensors and tasks need.
 
-    `region` is the rectangle (xmin, xmax, ymin, ymax) [m] in which tasks draw
-    starts and goals by default; `friction` is the friction coefficient of the
-    ground and of every prop. `ground` and `texture_seed` determine the ground's
-    texture, with `picture` over it if there is one; `grass` is the tall grass
-    on it. `surfaces`, if given, maps the materials of the ground and of
-    drivable props: they determine the contacts of wheels, and `friction` only
-    those of everything else. `light` is the world's own sun, for weathers that
-    do not set one. `disk_cache`, set by a `WorldStore`, keeps arrays computed
-    from the world. `region_candidates` are the regions that an importer found,
-    the preferred one first; other worlds have none. `trajectories` are those of
-    the actors that a file brings along.
+    `region` is the rectangle (xmin, xmax, ymin, ymax) [m] in which tasks draw starts and goals by default;
+    `friction` is the friction coefficient of the ground and of every prop. `ground` and `texture_seed`
+    determine the ground's texture, with `picture` over it if there is one; `grass` is the tall grass on it.
+    `surfaces`, if given, maps the materials of the ground and of drivable props: they determine the contacts
+    of wheels, and `friction` only those of everything else. `light` is the world's own sun, for weathers that
+    do not set one. `disk_cache`, set by a `WorldStore`, keeps arrays computed from the world.
+    `region_candidates` are the regions that an importer found, the preferred one first; other worlds have
+    none. `trajectories` are those of the actors that a file brings along.
     """
 
     disk_cache: DiskCache | None = None
+    _clearance_class: ClassVar[type[ClearanceField]] = ClearanceField
     region_candidates: tuple[RegionCandidate, ...] = ()
     trajectories: tuple[ActorTrajectory, ...] = ()
 
@@ -134,8 +158,7 @@ class World:
         """
         if key not in self._memo:
             self._memo[key] = make()
-        value: T = self._memo[key]
-        return value
+        return self._memo[key]
 
     def disk_cached(self, name: str, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
         """The array `make()`, read from the `disk_cache` if there is one and it holds `name`."""
@@ -148,9 +171,9 @@ class World:
 
     def solid_mesh(self) -> SolidMesh:
         """Terrain and solid props as one mesh, terrain first."""
-        solid = [(index, prop) for index, prop in enumerate(self.props) if prop.solid]
-        vertices, faces = self.terrain.mesh()
-        return _join([(-1, vertices, faces), *((index, prop.vertices, prop.faces) for index, prop in solid)])
+        solid = {-1: self.terrain.mesh()} | {k: prop.mesh for k, prop in enumerate(self.props) if prop.solid}
+        owner = np.repeat(np.array(list(solid), np.int32), [len(faces) for _, faces in solid.values()])
+        return SolidMesh(*merge_meshes(solid.values()), owner)
 
     @cached_property
     def rays(self) -> RayScene:
@@ -162,11 +185,7 @@ class World:
     def _decks(self) -> Decks | None:
         assert self.surfaces is not None
         decks = [
-            Deck(
-                prop.vertices,
-                prop.faces,
-                None if prop.surface is None else self.surfaces.number(prop.surface),
-            )
+            Deck(*prop.mesh, None if prop.surface is None else self.surfaces.number(prop.surface))
             for prop in self.props
             if prop.solid and prop.drivable
         ]
@@ -189,33 +208,27 @@ class World:
     @cached_property
     def clearance_field(self) -> ClearanceField:
         """The distance field that `clearance` interpolates."""
-        blocking = [prop for prop in self.props if prop.solid and not prop.drivable]
-        decks = [prop for prop in self.props if prop.solid and prop.drivable]
-        return ClearanceField(
+        solid = [prop for prop in self.props if prop.solid]
+        return self._clearance_class(
             self.terrain,
-            [(prop.vertices, prop.faces) for prop in blocking],
-            [(prop.vertices, prop.faces) for prop in decks],
+            [prop.mesh for prop in solid if not prop.drivable],
+            [prop.mesh for prop in solid if prop.drivable],
         )
 
     def clearance(self, xy: ArrayLike) -> Array:
         """Distance [m], shape (...), from points (..., 2) to the nearest obstacle.
 
-        An obstacle is a prop where it occupies the height band from 0.03 to
-        0.45 m above the ground (or above a drivable deck). 0 inside an
-        obstacle, inf in a world without obstacles.
+        An obstacle is a prop where it occupies the height band from 0.03 to 0.45 m above the ground (or above
+        a drivable deck). 0 inside an obstacle, inf in a world without obstacles.
         """
         return self.clearance_field(xy)
-
-    @cached_property
-    def _obstacle_search(self) -> ObstacleSearch:
-        return ObstacleSearch(self.clearance_field)
 
     def nearest_obstacle(self, xy: ArrayLike) -> NearestObstacle:
         """Clearance [m], (...), of points (..., 2), and the nearest obstacle points (..., 2).
 
         Obstacle points are accurate to two cells of `clearance_field` (0.1 m).
         """
-        return self._obstacle_search(xy)
+        return self.clearance_field.nearest(xy)
 
     def roughness(self, xy: ArrayLike, radius_m: float = ROUGHNESS_RADIUS_M) -> Array:
         """RMS height [m], (...), of the ground about its best-fit plane within `radius_m` of points (..., 2).
@@ -226,12 +239,14 @@ class World:
         return field(xy)
 
 
-def _join(parts: Sequence[tuple[int, Array, NDArray[np.int32]]]) -> SolidMesh:
-    starts = np.cumsum([0, *(len(vertices) for _, vertices, _ in parts[:-1])])
-    return SolidMesh(
-        np.concatenate([vertices for _, vertices, _ in parts]),
-        np.concatenate(
-            [faces + start for (_, _, faces), start in zip(parts, starts, strict=True)], dtype=np.int32
-        ),
-        np.concatenate([np.full(len(faces), index, np.int32) for index, _, faces in parts]),
-    )
+def describe_choice(region: Rectangle, candidates: tuple[RegionCandidate, ...]) -> str | None:
+    """One line about the chosen region and how to choose another; None if it is none of the candidates."""
+    numbers = [number for number, each in enumerate(candidates, start=1) if each.rectangle == region]
+    if not numbers:
+        return None
+    number, count = numbers[0], len(candidates)
+    if count == 1:
+        ways = "world.region=[xmin,xmax,ymin,ymax] chooses another"
+    else:
+        ways = f"world.region={1 if number > 1 else 2} chooses another of {count}; view=map shows them"
+    return f"Starts and goals: {candidates[number - 1].describe()} ({ways})"

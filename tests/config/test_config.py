@@ -44,7 +44,7 @@ from dune_rl.worlds.importing.mesh_world import MeshConf
 from dune_rl.worlds.importing.sdf.build import SdfConf
 from dune_rl.worlds.inspection.build import InspectionConf
 from dune_rl.worlds.island import IslandConf
-from dune_rl.worlds.rubicon.build import RubiconConf
+from dune_rl.worlds.rubicon import RubiconConf
 
 CONF = paths.conf_folder()
 OPTIONS = sorted(

@@ -16,8 +16,7 @@ from dune_rl.env.pictures import Pictures
 from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.renderer import Viewpoint
 from dune_rl.worlds.appearance import bake_world
-from dune_rl.worlds.region_candidates import BETWEEN_OBJECTS, RegionCandidate
-from dune_rl.worlds.world import World
+from dune_rl.worlds.world import BETWEEN_OBJECTS, RegionCandidate, World
 
 # Any ground will do for a rover that is put down by hand.
 ANYWHERE = {"spawn": {"region": "anywhere", "max_slope_deg": 60.0, "min_goal_distance_m": 0.0}}

@@ -27,7 +27,7 @@ from dune_rl.rendering.weather import WeatherConf
 from dune_rl.worlds.construction.build import ConstructionConf
 from dune_rl.worlds.inspection.build import InspectionConf
 from dune_rl.worlds.island import IslandConf, build_island
-from dune_rl.worlds.rubicon.build import RubiconConf
+from dune_rl.worlds.rubicon import RubiconConf
 from dune_rl.worlds.world import World
 
 

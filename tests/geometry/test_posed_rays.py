@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from dune_rl.geometry.embree.posed_scenes import PosedScenes
 from dune_rl.geometry.frames import rotation_from_angles
+from dune_rl.geometry.posed_rays import PosedScenes
 from dune_rl.geometry.rays import RayScene
 
 FARTHEST = np.float32(12.0)
@@ -28,7 +28,7 @@ def posed(*seeds: int) -> tuple[PosedScenes, list[RayScene]]:
     vertices = np.concatenate([mesh.vertices for mesh in meshes])
     radius = float(np.linalg.norm(vertices - [0, 0, HEIGHT_M], axis=1).max())
     rays = [RayScene(mesh.vertices, mesh.faces) for mesh in meshes]
-    return PosedScenes([one.triangles for one in rays], (HEIGHT_M, radius)), rays
+    return PosedScenes([one for one in rays], (HEIGHT_M, radius)), rays
 
 
 def somewhere(

@@ -8,7 +8,7 @@ from plain_worlds import SIZE, box, plain
 
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.rendering.light import LightConf, srgb_to_linear
-from dune_rl.rendering.posed_mesh import PosedMesh, RayMesh
+from dune_rl.rendering.moving_mesh import PosedMesh, RayMesh
 from dune_rl.rendering.renderer import Renderer, Viewpoint
 from dune_rl.rendering.scenery import ColouredMesh, Segment
 from dune_rl.worlds.appearance import bake_world

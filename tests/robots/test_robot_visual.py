@@ -10,7 +10,7 @@ from scenes import about
 from dune_rl.core.errors import RobotError
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.rendering.light import srgb_to_linear
-from dune_rl.rendering.posed_mesh import PosedMesh
+from dune_rl.rendering.moving_mesh import PosedMesh
 from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf
 from dune_rl.robots.visual import RobotVisual
 

@@ -15,9 +15,8 @@ from states import begin, measure, state_at
 
 from dune_rl.bodies.person import PersonConf
 from dune_rl.geometry.frames import rotation_matrices
-from dune_rl.rendering.beam_surface import luminance
 from dune_rl.rendering.light import srgb_to_linear
-from dune_rl.rendering.scenery import Segment
+from dune_rl.rendering.scenery import Segment, luminance
 from dune_rl.sensors.lidar_3d import Lidar3d, Lidar3dConf
 from dune_rl.worlds.appearance import beam_surface
 from dune_rl.worlds.flat import FlatConf, build_flat

@@ -7,11 +7,15 @@ import numpy as np
 import pytest
 
 from dune_rl.config.build import build_world
-from dune_rl.geometry.batched import BatchedHeightFields, BatchedRayScenes
-from dune_rl.geometry.shared_per_scene import SharedPerScene, query_grouped
-from dune_rl.rendering.beam_surface import BatchedBeamSurfaces
+from dune_rl.geometry.shared_per_scene import (
+    BatchedHeightFields,
+    BatchedRayScenes,
+    SharedPerScene,
+    query_grouped,
+)
 from dune_rl.rendering.foliage import BatchedFoliage, Foliage
 from dune_rl.rendering.light import Light, LightConf
+from dune_rl.rendering.scenery import BatchedBeamSurfaces
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.worlds.appearance import bake_world, beam_surface
 from dune_rl.worlds.batched_worlds import BatchedWorlds

@@ -23,7 +23,7 @@ from world_measures import (
 from dune_rl.core.errors import WorldError
 from dune_rl.geometry.rays import RayScene
 from dune_rl.worlds.construction.build import ConstructionConf, build_construction
-from dune_rl.worlds.free_space import FreeSpace
+from dune_rl.worlds.passage import FreeSpace
 from dune_rl.worlds.world import World
 
 construction = cached(lambda seed: build_construction(ConstructionConf(seed=seed)))

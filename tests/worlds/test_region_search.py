@@ -19,8 +19,7 @@ from dune_rl.tasks.spawn import SpawnConf, Spawner
 from dune_rl.worlds.cache.serialization import deserialize_world, serialize_world
 from dune_rl.worlds.importing.mesh_world import MeshConf, build_mesh
 from dune_rl.worlds.importing.sdf.build import SdfConf, build_sdf
-from dune_rl.worlds.region_candidates import BETWEEN_OBJECTS, OPEN_GROUND, describe_choice
-from dune_rl.worlds.world import Rectangle, World
+from dune_rl.worlds.world import BETWEEN_OBJECTS, OPEN_GROUND, Rectangle, World, describe_choice
 
 RADIUS_M = 0.4
 

@@ -22,7 +22,7 @@ from world_measures import (
 
 from dune_rl.core.errors import WorldError
 from dune_rl.geometry.rays import RayScene
-from dune_rl.worlds.rubicon.build import HURST, RubiconConf, build_rubicon
+from dune_rl.worlds.rubicon import HURST, RubiconConf, build_rubicon
 from dune_rl.worlds.world import World
 
 HUNDREDS_OF_M2 = 44.0**2 / 100.0

@@ -32,7 +32,7 @@ from dune_rl.worlds.importing.sdf.build import SdfConf
 from dune_rl.worlds.inspection.build import InspectionConf
 from dune_rl.worlds.island import IslandConf
 from dune_rl.worlds.registry import build_uncached
-from dune_rl.worlds.rubicon.build import RubiconConf
+from dune_rl.worlds.rubicon import RubiconConf
 from dune_rl.worlds.settings import WorldSettings
 from dune_rl.worlds.world import World
 

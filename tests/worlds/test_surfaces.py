@@ -196,9 +196,9 @@ def test_sinkage_needs_surfaces():
 
 
 def test_ground_shows_its_surfaces():
-    plain = build_scenery(world_of("flat", size_m=20.0)).ground.albedo.mean(axis=(0, 1))
+    plain = build_scenery(world_of("flat", size_m=20.0)).ground.mean(axis=(0, 1))
     shown = {
-        name: build_scenery(world_of("flat", size_m=20.0, surfaces=name)).ground.albedo.mean(axis=(0, 1))
+        name: build_scenery(world_of("flat", size_m=20.0, surfaces=name)).ground.mean(axis=(0, 1))
         for name in SURFACE_NAMES
     }
     means = np.array([plain, *shown.values()])

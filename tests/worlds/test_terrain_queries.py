@@ -6,7 +6,7 @@ import pytest
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.worlds.flat import FlatConf, build_flat
 from dune_rl.worlds.inspection.build import InspectionConf, build_inspection
-from dune_rl.worlds.rubicon.build import RubiconConf, build_rubicon
+from dune_rl.worlds.rubicon import RubiconConf, build_rubicon
 from dune_rl.worlds.world import Prop, World
 
 
@@ -66,7 +66,7 @@ def test_nearest_obstacles_are_where_they_are_said_to_be(world: World) -> None:
     field = world.clearance_field
     assert field.distance is not None
     row, column = np.nonzero(field.distance.reshape(field.rows, field.columns) == 0.0)
-    blocked = field.origin + field.cell_m * np.stack([column, row], axis=-1)
+    blocked = np.array(world.extent)[[0, 2]] + field.cell_m * np.stack([column, row], axis=-1)
     outside = distance > 0.0
     brute = np.array([np.hypot(*(blocked - xy).T).min() for xy in points[outside]])
     assert np.abs(away[outside] - brute).max() < field.cell_m

@@ -70,7 +70,7 @@ def test_a_camera_shows_it_too(yard):
 
 
 def test_the_ground_shows_its_picture_where_it_lies(yard):
-    albedo = build_scenery(yard).ground.albedo
+    albedo = build_scenery(yard).ground
     source = np.asarray(textured_yard()["Terrain"].visual.material.baseColorTexture, np.float32) / 255.0
     rows, columns = albedo.shape[:2]
     assert rows > 400 and columns > 500
@@ -218,7 +218,7 @@ def test_a_height_map_s_picture_is_laid_in_tiles_from_the_north_west(tmp_path):
 
     def hues(size: float) -> list[str]:
         (tmp_path / "w.sdf").write_text(text.format(size))
-        albedo = build_scenery(build_sdf(SdfConf(path=str(tmp_path / "w.sdf")))).ground.albedo
+        albedo = build_scenery(build_sdf(SdfConf(path=str(tmp_path / "w.sdf")))).ground
         n = len(albedo)
         encoded = np.sqrt(albedo) * 255
         return [nearest(encoded[r * n // 8, c * n // 8]) for r in (7, 5, 3, 1) for c in (1, 3, 5, 7)]

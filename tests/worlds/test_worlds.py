@@ -9,8 +9,8 @@ from world_measures import SEEDS, cached, digest_in_another_process, grid
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
 from dune_rl.worlds.flat import FlatConf, build_flat
-from dune_rl.worlds.free_space import FreeSpace
 from dune_rl.worlds.inspection.build import InspectionConf, build_inspection
+from dune_rl.worlds.passage import FreeSpace
 from dune_rl.worlds.props import beam, merge_meshes, slab, tube, upright_box
 from dune_rl.worlds.world import Prop, World
 

@@ -9,7 +9,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from dune_rl.geometry.arrays import Array, Flags, Floats
-from dune_rl.worlds.free_space import FreeSpace
+from dune_rl.worlds.passage import FreeSpace
 from dune_rl.worlds.world import World
 
 _CELL_M = 0.2

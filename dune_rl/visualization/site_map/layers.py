@@ -12,7 +12,7 @@ from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.scenery import Segment
 from dune_rl.tasks.spawn import Placement, Spawner
 from dune_rl.visualization.site_map import colours
-from dune_rl.worlds.free_space import FreeSpace
+from dune_rl.worlds.passage import FreeSpace
 from dune_rl.worlds.props import bisect_triangles, merge_meshes
 from dune_rl.worlds.world import Prop, Rectangle, World
 

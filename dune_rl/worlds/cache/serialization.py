@@ -12,16 +12,14 @@ from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.mesh_texture import MeshTexture
 from dune_rl.rendering.scenery import Segment
 from dune_rl.worlds.actor_trajectory import ActorTrajectory
-from dune_rl.worlds.clearance import ClearanceField
+from dune_rl.worlds.clearance import ClearanceField, SurfaceClearance
 from dune_rl.worlds.grass import Grass
 from dune_rl.worlds.ground_texture import GroundColours, GroundPicture
 from dune_rl.worlds.importing.imported_props import ImportedProp
 from dune_rl.worlds.importing.imported_world import ImportedWorld
-from dune_rl.worlds.importing.surface_clearance import SurfaceClearance
-from dune_rl.worlds.region_candidates import RegionCandidate
 from dune_rl.worlds.surface_map import SurfaceMap
 from dune_rl.worlds.surfaces import Soil, Surface
-from dune_rl.worlds.world import Prop, World
+from dune_rl.worlds.world import Prop, RegionCandidate, World
 
 # The classes that are instantiated when an entry names them. A new class that worlds refer to must be added
 # here: until then, worlds with it cannot be cached.

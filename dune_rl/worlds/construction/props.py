@@ -5,7 +5,7 @@ from numpy.typing import ArrayLike
 
 from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.worlds.props import Mesh, beam, merge_meshes, tube, unit_vector, upright_box
+from dune_rl.worlds.props import Mesh, axes_of, beam, merge_meshes, tube, unit_vector, upright_box
 from dune_rl.worlds.world import Colour, Prop
 
 WALL_HEIGHT_M = 2.5
@@ -29,14 +29,14 @@ _BRICK_M, _LAYER_M = 0.8, 0.14
 
 def plastered_wall(terrain: HeightField, start: ArrayLike, end: ArrayLike) -> Mesh:
     """A finished wall from `start` to `end` (2,), 2.5 m high and 9 cm thick."""
-    middle, yaw, length = _span(start, end)
+    middle, yaw, length = span(start, end)
     low, _ = _ground_range(terrain, middle, yaw, length, WALL_THICKNESS_M)
     return upright_box(middle, yaw, low - _SUNK_M, low + WALL_HEIGHT_M, length, WALL_THICKNESS_M)
 
 
 def stud_wall(terrain: HeightField, start: ArrayLike, end: ArrayLike) -> list[Mesh]:
     """The frame of a wall: studs about 0.6 m apart between two plates."""
-    middle, yaw, length = _span(start, end)
+    middle, yaw, length = span(start, end)
     low, high = _ground_range(terrain, middle, yaw, length, WALL_THICKNESS_M)
     top = low + WALL_HEIGHT_M
     parts = [
@@ -52,7 +52,7 @@ def stud_wall(terrain: HeightField, start: ArrayLike, end: ArrayLike) -> list[Me
 
 def lintel(terrain: HeightField, start: ArrayLike, end: ArrayLike) -> Mesh:
     """The wall above a door from `start` to `end` (2,)."""
-    middle, yaw, length = _span(start, end)
+    middle, yaw, length = span(start, end)
     low, _ = _ground_range(terrain, middle, yaw, length, WALL_THICKNESS_M)
     return upright_box(middle, yaw, low + _LINTEL_FROM_M, low + WALL_HEIGHT_M, length, WALL_THICKNESS_M)
 
@@ -73,8 +73,7 @@ def bricks(
 
 def beams(terrain: HeightField, name: str, xy: ArrayLike, yaw: float, length: float) -> Prop:
     """A stack of nine beams, in rows of four, three and two."""
-    _, high = _ground_range(terrain, xy, yaw, length, 0.7)
-    low, _ = _ground_range(terrain, xy, yaw, length, 0.7)
+    low, high = _ground_range(terrain, xy, yaw, length, 0.7)
     across = unit_vector(yaw + np.pi / 2)
     parts = []
     for row, count in enumerate((4, 3, 2)):
@@ -88,7 +87,7 @@ def beams(terrain: HeightField, name: str, xy: ArrayLike, yaw: float, length: fl
 def trestle(terrain: HeightField, name: str, xy: ArrayLike, yaw: float) -> Prop:
     """Two sawhorses 0.95 m high under a board of 1.5 by 1.3 m."""
     low, high = _ground_range(terrain, xy, yaw, 1.5, 1.3)
-    along, across = unit_vector(yaw), unit_vector(yaw + np.pi / 2)
+    along, across = axes_of(yaw)
     top = high + 0.95
     parts = [upright_box(xy, yaw, top - 0.04, top, 1.5, 1.3)]
     for u in (-0.5, 0.5):
@@ -121,7 +120,7 @@ def container(terrain: HeightField, name: str, xy: ArrayLike, yaw: float, rng: n
 def crate(terrain: HeightField, name: str, xy: ArrayLike, yaw: float) -> Prop:
     """A wooden crate 2.3 by 1.6 m and 1.15 m high, with battens."""
     low, high = _ground_range(terrain, xy, yaw, 2.3, 1.6)
-    along, across = unit_vector(yaw), unit_vector(yaw + np.pi / 2)
+    along, across = axes_of(yaw)
     parts = [upright_box(xy, yaw, low - _SUNK_M, high + 1.12, 2.24, 1.54)]
     for u in (-1.1, 0.0, 1.1):
         for v in (-0.76, 0.76):
@@ -138,7 +137,7 @@ def scaffold(terrain: HeightField, name: str, xy: ArrayLike, yaw: float) -> tupl
     """A scaffold, 4.7 by 4.3 m, with room for robots below its boards at 2 m: tubes, and boards."""
     length, width = SCAFFOLD_M
     low, high = _ground_range(terrain, xy, yaw, length, width)
-    along, across = unit_vector(yaw), unit_vector(yaw + np.pi / 2)
+    along, across = axes_of(yaw)
     half_u, half_v = length / 2 - 0.1, width / 2 - 0.1
 
     def at(u: float, v: float, above: float) -> list[float]:
@@ -168,7 +167,8 @@ def scaffold(terrain: HeightField, name: str, xy: ArrayLike, yaw: float) -> tupl
     )
 
 
-def _span(start: ArrayLike, end: ArrayLike) -> tuple[Array, float, float]:
+def span(start: ArrayLike, end: ArrayLike) -> tuple[Array, float, float]:
+    """Middle (2,), yaw [rad] and length [m] of the way from `start` to `end` (2,)."""
     first, last = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
     ahead = last - first
     return (first + last) / 2, float(np.arctan2(ahead[1], ahead[0])), float(np.hypot(*ahead))
@@ -180,7 +180,7 @@ def _ground_range(
     # Lowest and highest ground below a rectangle.
     u = np.linspace(-length / 2, length / 2, 2 + int(length / 0.4))
     v = np.linspace(-width / 2, width / 2, 2 + int(width / 0.4))
-    axes = np.stack([unit_vector(yaw), unit_vector(yaw + np.pi / 2)])
+    axes = axes_of(yaw)
     local = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
     height = terrain.height(np.asarray(xy) + local @ axes)
     return float(height.min()), float(height.max())

@@ -13,13 +13,12 @@ from dune_rl.geometry.arrays import Flags, Floats
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.mesh_files.parts import GREY, MeshPart
-from dune_rl.worlds.clearance import ClearanceField
+from dune_rl.worlds.clearance import ClearanceField, SurfaceClearance
 from dune_rl.worlds.ground_texture import GroundColours, GroundPicture
 from dune_rl.worlds.importing.ground import extract_ground
 from dune_rl.worlds.importing.ground_pictures import picture_from_colours
 from dune_rl.worlds.importing.imported_props import ImportedProp, extract_props
 from dune_rl.worlds.importing.region_search import find_region_candidates
-from dune_rl.worlds.importing.surface_clearance import SurfaceClearance
 from dune_rl.worlds.world import Rectangle, World
 
 # Settings of the region: a rectangle, the number of a candidate, or None for the first candidate.
@@ -75,8 +74,8 @@ class ImportedWorld(World):
         solid = [prop for prop in self.props if prop.solid]
         return SurfaceClearance(
             self.terrain,
-            [(prop.vertices, prop.faces) for prop in solid if not prop.drivable],
-            [(prop.vertices, prop.faces) for prop in solid if prop.drivable],
+            [prop.mesh for prop in solid if not prop.drivable],
+            [prop.mesh for prop in solid if prop.drivable],
         )
 
 

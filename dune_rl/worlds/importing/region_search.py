@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage
 
 from dune_rl.geometry.arrays import Array, Flags
-from dune_rl.worlds.free_space import FreeSpace
-from dune_rl.worlds.region_candidates import BETWEEN_OBJECTS, OPEN_GROUND, RegionCandidate
-from dune_rl.worlds.world import Rectangle, World
+from dune_rl.worlds.passage import FreeSpace
+from dune_rl.worlds.world import BETWEEN_OBJECTS, OPEN_GROUND, Rectangle, RegionCandidate, World
 
 Labels = NDArray[np.int32]
 
@@ -135,8 +134,7 @@ def _find_between_objects(grid: _Grid) -> Flags:
     fine = fine[: grid.objects.shape[0], : grid.objects.shape[1]]
     closed = fine | ndimage.binary_closing(fine, iterations=max(1, round(_CLOSING_M / grid.cell_m)))
     # Without the ground before doors, which is near to both sides of a wall.
-    inner: Flags = ndimage.binary_erosion(closed, iterations=max(1, round(_COARSE_M / grid.cell_m)))
-    return inner
+    return ndimage.binary_erosion(closed, iterations=max(1, round(_COARSE_M / grid.cell_m)))
 
 
 def _search_between_objects(grid: _Grid) -> list[RegionCandidate]:
@@ -265,8 +263,7 @@ def _integrate(values: NDArray[np.generic]) -> Array:
 def _window_sums(integral: Array, rows: int, columns: int, stride: int = 1) -> Array:
     """The sum of each window, or of every `stride`-th along both axes, by its lowest row and column."""
     bands = integral[rows::stride] - integral[:-rows:stride]
-    sums: Array = bands[:, columns::stride] - bands[:, :-columns:stride]
-    return sums
+    return bands[:, columns::stride] - bands[:, :-columns:stride]
 
 
 def _overlap(one: RegionCandidate, other: RegionCandidate) -> float:

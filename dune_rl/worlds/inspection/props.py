@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.worlds.props import Mesh, beam, merge_meshes, slab, tube, unit_vector, upright_box
+from dune_rl.worlds.props import Mesh, axes_of, beam, merge_meshes, slab, tube, unit_vector, upright_box
 from dune_rl.worlds.world import Colour, Prop
 
 _STEEL: Colour = (0.55, 0.57, 0.60)
@@ -34,7 +34,7 @@ def solar_array(terrain: HeightField, name: str, xy: ArrayLike, yaw: float) -> t
 
     Its low edge, to the right of `yaw`, clears the highest ground below it by 0.18 m.
     """
-    along, across = unit_vector(yaw), unit_vector(yaw + np.pi / 2)
+    along, across = axes_of(yaw)
     low_edge = np.asarray(xy) - ARRAY_DEPTH_M / 2 * across
     s, t, ground = _ground_below_array(terrain, xy, yaw)
     pitch, level = np.polyfit(s, ground[:, 0], 1)
@@ -83,7 +83,7 @@ def array_unevenness(terrain: HeightField, xy: ArrayLike, yaw: float) -> float:
 
 def _ground_below_array(terrain: HeightField, xy: ArrayLike, yaw: float) -> tuple[Array, Array, Array]:
     # Coordinates along (S,) and across (T,) the panel from the middle of its low edge; ground heights (S, T).
-    along, across = unit_vector(yaw), unit_vector(yaw + np.pi / 2)
+    along, across = axes_of(yaw)
     s = np.linspace(-ARRAY_LENGTH_M / 2, ARRAY_LENGTH_M / 2, 25)
     t = np.linspace(0.0, ARRAY_DEPTH_M, 9)
     low_edge = np.asarray(xy) - ARRAY_DEPTH_M / 2 * across
@@ -94,7 +94,7 @@ def bridge(
     terrain: HeightField, name: str, xy: ArrayLike, yaw: float, length: float, width: float
 ) -> tuple[Prop, Prop]:
     """A wooden bridge along `yaw`, its ends flush with the ground: drivable deck, and piers and rails."""
-    centre, along, across = np.asarray(xy), unit_vector(yaw), unit_vector(yaw + np.pi / 2)
+    centre, (along, across) = np.asarray(xy), axes_of(yaw)
     ends_xy = np.array([centre - length / 2 * along, centre + length / 2 * along])
     ends = np.column_stack([ends_xy, terrain.height(ends_xy) + 0.03])
     thickness = 0.16

@@ -168,8 +168,7 @@ def fit(misfit: Callable[[Array], Array], start: Array, bounds: tuple[list[float
     """
 
     def rounded(amplitudes: Array) -> Array:
-        found: Array = np.round(misfit(np.round(amplitudes, _AMPLITUDE_DECIMALS)), _MISFIT_DECIMALS)
-        return found
+        return np.round(misfit(np.round(amplitudes, _AMPLITUDE_DECIMALS)), _MISFIT_DECIMALS)
 
     def derivatives(amplitudes: Array) -> Array:
         here = rounded(amplitudes)

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.geometry.compiled import compile_function
-from dune_rl.geometry.embree.library import ARGUMENTS, intersect16
-from dune_rl.geometry.embree.packets import (
+from dune_rl.geometry.embree import (
+    ARGUMENTS,
     DIRECTION,
     FACE,
     GEOMETRY,
@@ -18,10 +18,11 @@ from dune_rl.geometry.embree.packets import (
     ROWS,
     TFAR,
     WIDTH,
+    intersect16,
     new_packet,
 )
-from dune_rl.geometry.embree.triangle_scene import TriangleScene, counted
 from dune_rl.geometry.frames import POSE_COLUMNS
+from dune_rl.geometry.rays import RayScene, counted
 
 
 class PosedHits(NamedTuple):
@@ -49,9 +50,9 @@ class PosedScenes:
     roll first, then pitch (nose down), then turn. Rays are traced only if they pass the sphere.
     """
 
-    def __init__(self, frames: Sequence[TriangleScene], sphere: tuple[float, float]) -> None:
+    def __init__(self, frames: Sequence[RayScene], sphere: tuple[float, float]) -> None:
         # The library must not free the scenes.
-        self._frames = tuple(frames)
+        self._scenes = tuple(frames)
         self._handles = np.array([frame.handle for frame in frames], np.intp)
         self._first_faces = np.cumsum([0, *(frame.num_faces for frame in frames[:-1])])
         self._sphere = sphere

@@ -1,1 +1,0 @@
-"""The rubicon world: a wooded hillside with rocks."""
