@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING
 
 from gymnasium.vector import AutoresetMode
 
+from dune_rl.behaviours.paths.follower import PathConf
 from dune_rl.bodies.settings import BodySettings
+from dune_rl.config.agents import ResolvedGroup
 from dune_rl.config.controller_settings import PATH, TRAJECTORY, follows_trajectories
 from dune_rl.config.controllers import controller_factory, places_of
 from dune_rl.config.group_files import read_group_files
 from dune_rl.config.schema import EnvConf, SingleAgentConf
-from dune_rl.env.agent_group import GroupSetup
+from dune_rl.env.agent_group import FileTrajectories, GroupSetup
 from dune_rl.env.arguments import check_whole
 from dune_rl.env.curriculum import CurriculumConf
 from dune_rl.env.domain_randomizer import DomainRandomizer
@@ -30,6 +32,7 @@ from dune_rl.physics.interface import scene_maker
 from dune_rl.robots.registry import ROBOTS
 from dune_rl.robots.robot import Robot
 from dune_rl.robots.settings import RobotSettings
+from dune_rl.worlds.actor_trajectory import ActorTrajectory
 from dune_rl.worlds.cache.store import shared_store
 from dune_rl.worlds.settings import WorldSettings
 from dune_rl.worlds.world import World, describe_choice
@@ -101,10 +104,8 @@ def group_setups(conf: EnvConf) -> list[GroupSetup]:
             group.count,
             group.body if isinstance(group.body, BodySettings) else partial(build_robot, group.body),
             controller=controller_factory(group.controller),
-            paths=group.path,
-            follows_paths=group.controller == PATH,
-            follows_trajectories=follows_trajectories(group.controller),
-            trajectories=trajectories.get(group.name),
+            path=_path_of(group, trajectories.get(group.name)),
+            is_scripted=group.controller == PATH or follows_trajectories(group.controller),
             sensors=group.sensors,
             task=group.task,
             metrics=group.metrics,
@@ -114,6 +115,15 @@ def group_setups(conf: EnvConf) -> list[GroupSetup]:
         )
         for group in conf.groups
     ]
+
+
+def _path_of(
+    group: ResolvedGroup, given: tuple[ActorTrajectory, ...] | None
+) -> PathConf | FileTrajectories | None:
+    """What the agents of a group start on: trajectories, paths, or nothing."""
+    if follows_trajectories(group.controller):
+        return FileTrajectories(given)
+    return PathConf() if group.path is None and group.controller == PATH else group.path
 
 
 def build_robot(conf: RobotSettings, num_robots: int) -> Robot:

@@ -39,26 +39,29 @@ MakeController = Callable[["AgentGroup"], Controller]
 
 
 @dataclass(frozen=True)
+class FileTrajectories:
+    """The trajectories that agents are moved on; None: those of their world's file."""
+
+    given: tuple[ActorTrajectory, ...] | None = None
+
+
+@dataclass(frozen=True)
 class GroupSetup:
     """Configuration of an agent group: body, controller, sensors, task and metrics.
 
-    `body` is a factory of a model of N robots, or the settings of a kinematic body. A group without
-    `controller` that follows nothing is external: its actions come from a user or a learner. `paths` are the
-    paths of kinematic agents; with `follows_paths` the agents walk along them. With `follows_trajectories`
-    they walk on `trajectories`, or where these are None on those of their world. A group without `task` has
-    rewards of 0 and never ends an episode. With `presence` its agents come and go. `settings` is the path of
-    its settings, for errors; empty for robots of `robot` or `robots`. `places` (P, 2) [m] are those to which
-    the controller is told to go.
+    `body` is a factory of a model of N robots, or the settings of a kinematic body. Kinematic agents with a
+    `path` start on it; if the group `is_scripted` they are moved along it, without actions. A group that is
+    not, and has no `controller`, is external: its actions come from a user or a learner. A group without
+    `task` has rewards of 0 and never ends an episode. With `presence` its agents come and go. `settings` is
+    the path of its settings, for errors. `places` (P, 2) [m] are those to which the controller is told to go.
     """
 
     name: str
     count: int
     body: RobotFactory | BodySettings
     controller: MakeController | None = None
-    paths: PathConf | None = None
-    follows_paths: bool = False
-    follows_trajectories: bool = False
-    trajectories: tuple[ActorTrajectory, ...] | None = None
+    path: PathConf | FileTrajectories | None = None
+    is_scripted: bool = False
     sensors: Mapping[str, SensorSettings] | None = None
     task: TaskConf | None = None
     metrics: MetricsConf | None = None
@@ -70,16 +73,6 @@ class GroupSetup:
     def is_external(self) -> bool:
         """Whether a user or a learner gives the actions."""
         return self.controller is None and not self.is_scripted
-
-    @property
-    def is_on_path(self) -> bool:
-        """Whether the agents start on paths or trajectories, whether they are moved along them or steer."""
-        return self.paths is not None or self.follows_trajectories
-
-    @property
-    def is_scripted(self) -> bool:
-        """Whether kinematic agents are moved along paths or trajectories, without actions."""
-        return self.follows_paths or self.follows_trajectories
 
 
 @dataclass(frozen=True)

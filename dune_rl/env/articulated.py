@@ -211,6 +211,8 @@ class ArticulatedBody:
                     drives = np.zeros((len(states), len(drive)))
                 drives[row] = drive
         self._states, self._drives = states, drives
+        if self.work_j is not None:
+            self.work_j = np.where(mask, 0.0, self.work_j)
         before = self.motion
         acceleration_b = np.where(mask[:, None], 0.0, before.acceleration_b)
         self.motion = self._derive(before.diverged & ~mask, acceleration_b)

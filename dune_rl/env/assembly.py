@@ -7,7 +7,7 @@ from dune_rl.behaviours.paths.follow_path import FollowPath
 from dune_rl.behaviours.paths.follower import PathConf, PathFollower
 from dune_rl.behaviours.trajectory import TrajectoryFollower
 from dune_rl.bodies.settings import BodySettings
-from dune_rl.env.agent_group import AgentGroup, GroupSetup
+from dune_rl.env.agent_group import AgentGroup, FileTrajectories, GroupSetup
 from dune_rl.env.articulated import ArticulatedBody
 from dune_rl.env.body import Body
 from dune_rl.env.controllers import BehaviourController, Controller
@@ -103,11 +103,11 @@ class _SharedParts:
         """The spawners of a group. Robots and agents on paths share those of equal footprint and settings."""
         spawn = SpawnConf() if setup.task is None else setup.task.spawn
         conf = setup.body
-        if isinstance(conf, BodySettings) and not setup.is_on_path:
+        if isinstance(conf, BodySettings) and setup.path is None:
             words = SpawnedBody(conf.name, needs_in_words(conf), setup.settings)
             passable, whose = partial(has_room, conf), f"{setup.name} ({conf.name}): "
             return Spawners(spawn, body.footprint_radius_m, self._worlds, passable, words, whose)
-        if setup.is_on_path:
+        if setup.path is not None:
             spawn = SpawnConf()
         key = spawn, body.footprint_radius_m
         if key not in self._spawners:
@@ -120,9 +120,9 @@ class _SharedParts:
         self, setup: GroupSetup, body: Body, spawners: Spawners
     ) -> tuple[StartSource, Controller | None]:
         """The starts of a group, and the controller that moves it along paths, if it is moved so."""
-        if not isinstance(setup.body, BodySettings) or not setup.is_on_path:
+        if not isinstance(setup.body, BodySettings) or setup.path is None:
             return self._in_region(setup, body, spawners), None
-        return self._on_path(setup, setup.body, body, spawners)
+        return self._on_path(setup, setup.path, setup.body, body, spawners)
 
     def _in_region(self, setup: GroupSetup, body: Body, spawners: Spawners) -> RegionStarts:
         spawn = SpawnConf() if setup.task is None else setup.task.spawn
@@ -150,23 +150,24 @@ class _SharedParts:
         return starts
 
     def _on_path(
-        self, setup: GroupSetup, conf: BodySettings, body: Body, spawners: Spawners
+        self,
+        setup: GroupSetup,
+        path: PathConf | FileTrajectories,
+        conf: BodySettings,
+        body: Body,
+        spawners: Spawners,
     ) -> tuple[StartSource, Controller | None]:
         radius_m, reach_m = body.description.radius_m, body.description.reach_m
         # Of the first group the streams keep the names that they had before there were several.
         suffix = f" {setup.name}" if self._num_on_paths else ""
         self._num_on_paths += 1
-        if setup.follows_trajectories:
-            on_file = TrajectoryFollower(
-                setup.count, conf.speed_mps, self._worlds, setup.name, setup.trajectories
-            )
+        if isinstance(path, FileTrajectories):
+            on_file = TrajectoryFollower(setup.count, conf.speed_mps, self._worlds, setup.name, path.given)
             moves = BehaviourController(FollowPath(on_file))
             return TrajectoryStarts(on_file, setup.name, radius_m, reach_m), moves
         deepest = conf.max_water_m if conf.flight is None else _ANY_DEPTH_M
-        where = setup.settings or f"actors.{setup.name}"
-        paths = setup.paths or PathConf()
         follower = PathFollower(
-            paths, setup.count, conf.keep_out_radius_m, self._worlds, where, conf.speed_mps, deepest
+            path, setup.count, conf.keep_out_radius_m, self._worlds, setup.settings, conf.speed_mps, deepest
         )
         # Random paths lead through the free space of robots, where there are any.
         through = self._robot_spawners or spawners

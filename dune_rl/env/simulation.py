@@ -99,6 +99,7 @@ class VectorSimulation:
         self.seed = seed
         self._requests: dict[int, EpisodeRequest] = {}
         self._plan = plan
+        self.state: State
         self._refusal = _NOT_BEGUN
         self.curriculum = Curriculum(curriculum, num_scenes)
         self.reseed(seed, first_episode)
@@ -174,7 +175,8 @@ class VectorSimulation:
         for group in self.groups:
             group.read_start(scene_rows(mask, group.count), self.scenes.most_bodies)
         self._builder.begin_episodes(self.episodes)
-        self.state = state = self._builder.start(mask, self.seed, self.steps)
+        before = None if mask.all() else self.state
+        self.state = state = self._builder.start(mask, self.seed, self.steps, before)
         for group in self.groups:
             group.begin(scene_rows(mask, group.count), state)
         self._refusal = ""

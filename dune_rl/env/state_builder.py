@@ -66,13 +66,23 @@ class StateBuilder:
             streams = ids + agents * _STREAM_STRIDE if agents.any() else ids
             self._identity[group.name] = ids, streams
 
-    def start(self, mask: Flags, seed: int, steps: Counts) -> State:
-        """The state at the start of the episodes of the scenes in `mask` (M,)."""
+    def start(self, mask: Flags, seed: int, steps: Counts, before: State | None) -> State:
+        """The state at the start of the episodes of the scenes in `mask` (M,).
+
+        In the other scenes contacts and endings are those `before`; None: all scenes begin.
+        """
         goals, contacts = [], []
-        for group in self._groups:
-            goals.append(group.goals.begin(scene_rows(mask, group.count), group.body.motion))
-            contacts.append(group.collisions.at_rest)
-        return self._build(seed, steps, goals, contacts, [{} for _ in self._groups])
+        endings: list[dict[str, Flags]] = [{} for _ in self._groups]
+        for group, flags in zip(self._groups, endings, strict=True):
+            rows = scene_rows(mask, group.count)
+            goals.append(group.goals.begin(rows, group.body.motion))
+            if before is None:
+                contacts.append(group.collisions.at_rest)
+                continue
+            was = before.groups[group.name]
+            contacts.append(was.contacts.begun(rows))
+            flags.update({name: ended & ~rows for name, ended in was.endings.items()})
+        return self._build(seed, steps, goals, contacts, endings)
 
     def build(
         self, seed: int, steps: Counts, contacts: dict[str, Contacts], count_statics: Callable[[int], int]

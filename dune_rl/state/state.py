@@ -6,8 +6,9 @@ m. Units are SI; frames are suffixes: `_w` world, `_b` body (x forward, y left, 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import FrozenInstanceError, dataclass, field
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any, Protocol
 
 import numpy as np
@@ -116,6 +117,13 @@ class Motion:
     Quantities that are not passed are computed on first access; those of rotation from `roll_pitch_yaw`.
     """
 
+    position_w: Array
+    roll_pitch_yaw: Array
+    velocity_w: Array
+    angular_w: Array
+    diverged: Flags
+    joints: JointState | None
+
     def __init__(
         self,
         position_w: Array,
@@ -127,12 +135,20 @@ class Motion:
         **derived: Array,
     ) -> None:
         """`derived` may have `rotation`, `velocity_b`, `angular_b`, `acceleration_b` and `frames`."""
-        self.position_w, self.roll_pitch_yaw = position_w, roll_pitch_yaw
-        self.velocity_w, self.angular_w = velocity_w, angular_w
-        self.diverged, self.joints = diverged, joints
-        self.__dict__.update(derived)
-        for values in (position_w, roll_pitch_yaw, velocity_w, angular_w, diverged, *derived.values()):
+        given = {
+            "position_w": position_w,
+            "roll_pitch_yaw": roll_pitch_yaw,
+            "velocity_w": velocity_w,
+            "angular_w": angular_w,
+            "diverged": diverged,
+            **derived,
+        }
+        for values in given.values():
             freeze(values)
+        self.__dict__.update(given, joints=joints)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise FrozenInstanceError(f"cannot assign to field {name!r}")
 
     @cached_property
     def rotation(self) -> Array:
@@ -207,6 +223,16 @@ class ContactState:
     def __post_init__(self) -> None:
         for values in (self.touching, self.new, self.total, *self.new_by_kind.values()):
             freeze(values)
+        object.__setattr__(self, "new_by_kind", MappingProxyType(self.new_by_kind))
+
+    def begun(self, mask: Flags) -> "ContactState":
+        """The contacts after episodes have begun in the rows in `mask` (N,), which have none."""
+        return ContactState(
+            self.touching & ~mask,
+            np.where(mask, 0, self.new),
+            np.where(mask, 0, self.total),
+            {kind: np.where(mask, 0, new) for kind, new in self.new_by_kind.items()},
+        )
 
 
 @dataclass(frozen=True)
@@ -307,6 +333,9 @@ class State:
     groups: Mapping[str, GroupState]
     ground: GroundQueries
     num_scenes: int
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "groups", MappingProxyType(self.groups))
 
     @cached_property
     def surroundings(self) -> Surroundings:

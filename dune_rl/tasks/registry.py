@@ -1,13 +1,15 @@
 """The registries of reward and termination terms, and of sources of starts and goals."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Protocol
 
+import numpy as np
 from pydantic import BeforeValidator, SerializeAsAny
 
 from dune_rl.core.registry import Registry
+from dune_rl.geometry.arrays import Array
 from dune_rl.state.terms import TermConf, TermRegistry
-from dune_rl.tasks.spawn import Placement, SpawnConf
+from dune_rl.tasks.spawn import Placement, SpawnConf, Spawner
 
 _OWN_REWARDS = (
     "collision",
@@ -74,14 +76,25 @@ TERMINATIONS = TermRegistry(
 
 
 class StartSampler(Protocol):
-    """Draws the starts and goals of agents: see `RegionStarts`, from which sources are derived."""
+    """Draws the starts and goals of agents from `draws`, in the free space that `spawner` knows.
 
-    def draw_start(self, *arguments: Any) -> Placement:
-        """A start and a goal."""
+    Sources are derived from `RegionStarts`, whose methods these are.
+    """
+
+    def draw_start(
+        self,
+        spawner: Spawner,
+        draws: np.random.Generator,
+        taken: Sequence[Placement],
+        apart_m: Sequence[float],
+    ) -> Placement:
+        """A start and a goal, at `apart_m` [m] from those `taken`; raises `WorldError` without room."""
         ...
 
-    def draw_goal(self, *arguments: Any) -> tuple[float, float]:
-        """A new goal (x, y) [m]."""
+    def draw_goal(
+        self, spawner: Spawner, draws: np.random.Generator, start: Array, taken: Array, apart_m: Array
+    ) -> tuple[float, float]:
+        """A new goal (x, y) [m] for an agent at `start` (2,), `apart_m` (K,) from points `taken` (K, 2)."""
         ...
 
 

@@ -1,11 +1,13 @@
 """Groups of vehicles, animals and drones in a simulation: where they start and go, and what is counted."""
 
 import re
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 from simulations import environment_conf, new_simulation, started_simulation
+from user_packages import registries_restored
 
 import dune_rl
 from dune_rl.config.compose import compose_environment
@@ -153,6 +155,13 @@ def test_what_a_body_cannot_do_is_said(group: dict[str, Any], said: str) -> None
         compose_environment("flat", (), {"actors": {"group": group}})
 
 
+@pytest.fixture
+def _users_parts_go() -> Iterator[None]:
+    with registries_restored():
+        yield
+
+
+@pytest.mark.usefixtures("_users_parts_go")
 def test_a_behaviour_may_say_which_bodies_it_drives() -> None:
     @dune_rl.register_behaviour("test_swoop")
     class Swoop:

@@ -121,8 +121,8 @@ def test_a_restored_state_has_the_level_and_the_difficulty_of_each_episode() -> 
 def test_a_misspelt_curriculum_is_told() -> None:
     with pytest.raises(ConfigError, match="by_outcome"):
         compose(["+world=flat", "learning.curriculum=by_outcomes"])
-    with pytest.raises(ConfigError, match=r"learning.curriculum.measure.*success"):
-        compose(["+world=flat", "learning.curriculum={name: by_outcome, measure: sucess}"])
+    with pytest.raises(ConfigError, match=r"learning.curriculum.measure.*speedy"):
+        compose(["+world=flat", "learning.curriculum={name: by_outcome, measure: speedy}"])
     with pytest.raises(ConfigError, match=r"easiest.friction: it is not drawn"):
         compose(["+world=flat", "learning.curriculum={name: by_outcome, easiest: {friction: 1.0}}"])
 

@@ -1,24 +1,23 @@
 """The state of a step cannot be written by the parts that read it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import FrozenInstanceError, replace
 from typing import Any
 
 import numpy as np
 import pytest
 from simulations import act, started_simulation
+from user_packages import registries_restored
 
 import dune_rl
 from dune_rl.core.errors import RegistryError
-from dune_rl.metrics.registry import METRICS
-from dune_rl.state import GroupState, State
-from dune_rl.tasks.registry import REWARDS, TERMINATIONS
+from dune_rl.state import ContactState, GroupState, State
 
 
 @pytest.fixture(autouse=True)
 def _users_terms_go() -> Iterator[None]:
-    yield
-    for registry in (REWARDS, TERMINATIONS, METRICS):
-        registry._user_parts.clear()
+    with registries_restored():
+        yield
 
 
 def pulls_walkers(state: State, group: GroupState) -> np.ndarray:
@@ -64,11 +63,11 @@ def arrays_of(value: Any, seen: set[int]) -> Iterator[np.ndarray]:
     """All arrays that are reached from `value` through the parts of a state."""
     if isinstance(value, np.ndarray):
         yield value
-    elif isinstance(value, dict) or type(value).__module__.startswith("dune_rl.state"):
+    elif isinstance(value, Mapping) or type(value).__module__.startswith("dune_rl.state"):
         if id(value) in seen:
             return
         seen.add(id(value))
-        for each in value.values() if isinstance(value, dict) else vars(value).values():
+        for each in value.values() if isinstance(value, Mapping) else vars(value).values():
             yield from arrays_of(each, seen)
 
 
@@ -99,4 +98,34 @@ def test_a_state_keeps_its_joints_when_a_scene_is_reset() -> None:
     before = joints.angle.copy()
     simulation.reset(np.array([True, False]))
     np.testing.assert_array_equal(joints.angle, before)
+    simulation.close()
+
+
+def test_fields_of_a_motion_and_of_a_state_cannot_be_set() -> None:
+    simulation = started_simulation()
+    state = simulation.state
+    motion = state.groups["rover"].motion
+    with pytest.raises(FrozenInstanceError):
+        motion.position_w = motion.position_w + 1.0
+    with pytest.raises(TypeError):
+        state.groups["rover"] = state.groups["rover"]  # type: ignore[index]
+    with pytest.raises(TypeError):
+        state.groups["rover"].contacts.new_by_kind["person"] = np.ones(1, np.int64)  # type: ignore[index]
+    simulation.close()
+
+
+def test_a_reset_of_one_scene_leaves_contacts_and_endings_of_the_others() -> None:
+    simulation = started_simulation(num_scenes=2, task={"terminations": {"time_limit": {"max_steps": 1}}})
+    act(simulation)
+    state = simulation.state
+    rover = state.groups["rover"]
+    assert rover.endings["time_limit"].tolist() == [True, True]
+    both = np.array([True, True])
+    contacts = ContactState(both, both.astype(int), both.astype(int), {"static": both.astype(int)})
+    simulation.state = replace(state, groups={**state.groups, "rover": replace(rover, contacts=contacts)})
+    simulation.reset(np.array([True, False]))
+    after = simulation.state.groups["rover"]
+    assert after.contacts.touching.tolist() == [False, True]
+    assert after.contacts.new.tolist() == after.contacts.new_by_kind["static"].tolist() == [0, 1]
+    assert after.endings["time_limit"].tolist() == [False, True]
     simulation.close()
