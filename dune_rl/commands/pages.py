@@ -153,10 +153,7 @@ PAGES: Mapping[str, HelpPage] = {
         (
             ("python -m dune_rl.episode_sets list", "the sets of the package, with their checksums"),
             ("python -m dune_rl.episode_sets check NAME", "start every episode, and report what is not free"),
-            (
-                "python -m dune_rl.episode_sets make",
-                "the package's sets again; builds all their sites",
-            ),
+            ("python -m dune_rl.episode_sets make", "the package's sets again; builds all their sites"),
             ("python -m dune_rl.episode_sets make mine-v1 +world=NAME --episodes 50", "a set of your own"),
         ),
         (

@@ -11,13 +11,7 @@ from dune_rl.commands import command_line
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.paths import unused_folder
 from dune_rl.reporting.drawing import DRAWN, plan_figures
-from dune_rl.reporting.layout import (
-    collect_findings,
-    describe_note,
-    figures_of,
-    lay_out,
-    tables_of,
-)
+from dune_rl.reporting.layout import collect_findings, describe_note, figures_of, lay_out, tables_of
 from dune_rl.reporting.markdown_blocks import rewrite_file
 from dune_rl.reporting.output import FIGURES, PAGE, TABLES, check_folder, write_aside, write_report
 from dune_rl.reporting.page.render import FigureBlock, Section

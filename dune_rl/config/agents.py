@@ -41,11 +41,7 @@ PRESETS: Mapping[str, tuple[str, ...]] = {
     "metrics": (SHARED, NONE),
 }
 # The settings of each section, of sensors those of each entry.
-SECTIONS: Mapping[str, type[Settings]] = {
-    "sensors": SensorSettings,
-    "task": TaskConf,
-    "metrics": MetricsConf,
-}
+SECTIONS: Mapping[str, type[Settings]] = {"sensors": SensorSettings, "task": TaskConf, "metrics": MetricsConf}
 _MOST_AGENTS = 1000
 # Agents are called GROUP_0, GROUP_1, ...; TorchRL has keys of its own beside the groups'.
 _GROUP_NAME = re.compile(r"[A-Za-z]\w*")

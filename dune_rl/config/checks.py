@@ -138,10 +138,7 @@ def _path_in(data: Any, detail: ErrorDetails) -> tuple[str | int, ...]:
 
 
 def _sentence(
-    path: tuple[str | int, ...],
-    details: list[ErrorDetails],
-    model: type[BaseModel],
-    data: Mapping[str, Any],
+    path: tuple[str | int, ...], details: list[ErrorDetails], model: type[BaseModel], data: Mapping[str, Any]
 ) -> str:
     name, first = _dotted(path), details[0]
     if first["type"] == "extra_forbidden":

@@ -36,12 +36,7 @@ from dune_rl.config.hydra_session import (
 from dune_rl.config.overrides import ParsedOverrides, option_names, parse_overrides, sweep_values
 from dune_rl.config.saved import copy_nested, upgrade_saved
 from dune_rl.config.schema import Conf, EnvConf
-from dune_rl.config.shorthands import (
-    SHORTHANDS,
-    complete_sections,
-    join_groups,
-    merged,
-)
+from dune_rl.config.shorthands import SHORTHANDS, complete_sections, join_groups, merged
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.suggestions import one_of
 

@@ -5,14 +5,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, SerializeAsAny, ValidationError, model_validator
 
-from dune_rl.config.agents import (
-    PRESETS,
-    SHARED,
-    AgentGroupConf,
-    AgentGroups,
-    ResolvedGroup,
-    preset_settings,
-)
+from dune_rl.config.agents import PRESETS, SHARED, AgentGroupConf, AgentGroups, ResolvedGroup, preset_settings
 from dune_rl.config.checks import describe_faults
 from dune_rl.config.shorthands import write_agents
 from dune_rl.core.settings import Settings

@@ -174,12 +174,7 @@ def restore_learners(
 
 
 def require_same_networks(
-    learner: Algorithm,
-    entry: Mapping[str, Any],
-    source: Path,
-    remedy: str,
-    conf: LearningConf,
-    group: str,
+    learner: Algorithm, entry: Mapping[str, Any], source: Path, remedy: str, conf: LearningConf, group: str
 ) -> None:
     """Raise CheckpointError unless `entry`, of the file `source`, has the networks of the learner of `group`.
 

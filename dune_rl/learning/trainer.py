@@ -303,11 +303,7 @@ class Trainer:
         conf = self._conf.collector
         progress = {
             "random": random_state(),
-            "counters": {
-                "frames": self.frames,
-                "next_save": self._next_save,
-                **self._evaluation.state(),
-            },
+            "counters": {"frames": self.frames, "next_save": self._next_save, **self._evaluation.state()},
             "collector": {
                 "mode": conf.mode,
                 "scenes": conf.scenes,

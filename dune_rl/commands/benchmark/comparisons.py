@@ -18,11 +18,7 @@ from dune_rl.physics.interface import OWN_ENGINES
 _WARM_UP = 50
 _ROBOTS, _ACTORS, _POINTS = 4, 20, 100_000
 # The field of the result, and the controller of the actors.
-_CONTROLLERS = {
-    "actors_cost": "path",
-    "actors_cost_social_force": "social_force",
-    "actors_cost_orca": "orca",
-}
+_CONTROLLERS = {"actors_cost": "path", "actors_cost_social_force": "social_force", "actors_cost_orca": "orca"}
 
 
 def _time_and_close(

@@ -53,8 +53,7 @@ class SacConf(LearningConf):
     reward_scale: float = Field(1.0, gt=0, description="multiplies the reward in the loss, never in the logs")
     observation_clip: float = Field(10.0, gt=0, description="bound on normalised observations")
     precision: Literal["auto", "float32", "bfloat16"] = Field(
-        "auto",
-        description="of the networks' products; auto: bfloat16 where the processor is faster at it",
+        "auto", description="of the networks' products; auto: bfloat16 where the processor is faster at it"
     )
     replay: ReplayConf = ReplayConf()
 

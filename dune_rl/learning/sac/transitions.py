@@ -86,12 +86,7 @@ class TransitionCodec:
                 "action": action,
                 "steps_to_next_obs": steps,
                 "next": TensorDict(
-                    {
-                        FEATURES: later,
-                        "reward": reward * reward_scale,
-                        "terminated": ended,
-                        "done": ended,
-                    },
+                    {FEATURES: later, "reward": reward * reward_scale, "terminated": ended, "done": ended},
                     [len(rows)],
                 ),
             },
