@@ -13,7 +13,7 @@ from dune_rl.behaviours.paths.follower import PathConf
 from dune_rl.behaviours.registry import BEHAVIOURS
 from dune_rl.bodies.person import PersonConf
 from dune_rl.bodies.registry import BODIES
-from dune_rl.commands.engines.job import EnginesConf
+from dune_rl.commands.engines import EnginesConf
 from dune_rl.commands.pages import PAGES, HelpPage
 from dune_rl.config.agents import AgentGroupConf
 from dune_rl.config.commands import BenchmarkConf, EvaluateConf, ViewConf

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dune_rl.commands.command_line import command, describe_user_error
+from dune_rl.commands.command_line import describe_user_error
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.suggestions import closest
 
@@ -105,6 +105,3 @@ def _check(parsed: Namespace) -> None:
         faults += [f"{name}: {fault}" for fault in found]
     if faults:
         raise ConfigError("\n".join(faults))
-
-
-main = command("episode_sets")

@@ -197,6 +197,3 @@ def _check_writable(out: Path) -> None:
         raise ConfigError(f"cannot write {out}: {parent} is a file; choose another place")
     if not os.access(parent, os.W_OK):
         raise ConfigError(f"out={out} cannot be written; choose another folder")
-
-
-main = command_line.command("evaluate")

@@ -150,6 +150,3 @@ def describe_inputs(inputs: ReportInputs) -> list[str]:
     if inputs.skipped:
         line += f" {len(inputs.skipped)} of the inputs could not be used; see below."
     return [line]
-
-
-main = command_line.command("report")

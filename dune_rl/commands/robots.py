@@ -9,7 +9,7 @@ from omegaconf.errors import OmegaConfBaseException
 from pydantic import ValidationError
 from yaml import YAMLError
 
-from dune_rl.commands.command_line import command, print_error
+from dune_rl.commands.command_line import print_error
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.suggestions import closest
 from dune_rl.robots.urdf.conf import UrdfConf
@@ -62,6 +62,3 @@ def _settings(words: Sequence[str]) -> dict[str, Any]:
     found = OmegaConf.to_container(OmegaConf.from_dotlist([word.removeprefix("robot.") for word in words]))
     assert isinstance(found, dict), "a list of dotted words makes a dict"
     return {str(key): value for key, value in found.items()}
-
-
-main = command("robots")

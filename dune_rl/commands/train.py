@@ -307,6 +307,3 @@ def _show_end(console: Console, conf: Conf, result: "TrainingResult") -> None:
             f"'populations=[walkers,{result.run_dir}]' episodes=100 seed=1"
         )
     console.print("\n".join(lines), highlight=False, markup=False, soft_wrap=True)
-
-
-main = command_line.command("train")

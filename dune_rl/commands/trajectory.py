@@ -48,6 +48,3 @@ def _check_free(path: Path, *, overwrite: bool) -> None:
         raise ConfigError(f"{path} is a folder: name a file")
     if path.exists() and not overwrite:
         raise ConfigError(f"{path} exists; choose another name, or overwrite=true")
-
-
-main = command_line.command("trajectory")

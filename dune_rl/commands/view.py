@@ -94,6 +94,3 @@ def _view(conf: ViewConf) -> None:
 
 def _print_path(console: Console, path: Path) -> None:
     console.print(f"Written: {path}", highlight=False, soft_wrap=True)
-
-
-main = command_line.command("view")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from user_packages import shown_files
 
-from dune_rl.commands import evaluate
+from dune_rl import evaluate
 
 ID = "dune_rl:dune_rl/Flat-v0"
 SHORT = {"task": {"name": "paper", "terminations": {"time_limit": {"max_steps": 5}}}}

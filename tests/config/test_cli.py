@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from dune_rl.commands import benchmark, command_line, engines, evaluate, train
+from dune_rl import benchmark, engines, evaluate, train
+from dune_rl.commands import command_line
 from dune_rl.core.untrusted_files import WorldWarning
 
 Call = Callable[..., int]

@@ -11,7 +11,7 @@ import pytest
 import yaml
 from test_overrides import CHOOSE, NO_MOON
 
-from dune_rl.commands import evaluate, train
+from dune_rl import evaluate, train
 from dune_rl.learning.run import progress
 from dune_rl.learning.run.progress import LineReporter, TrainingStatus
 

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
-from dune_rl.commands import train
+from dune_rl import train
 
 
 @pytest.mark.slow(all_but=["hydra.sweep.dir=runs/${nope}"])

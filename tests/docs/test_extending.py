@@ -10,7 +10,7 @@ import pytest
 from documents import extension_text
 from user_packages import REGISTRIES, packages_on_path, shown_files, write_package
 
-from dune_rl.commands import evaluate, train
+from dune_rl import evaluate, train
 
 DOCS = extension_text()
 COMMANDS = [

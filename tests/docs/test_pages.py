@@ -28,7 +28,7 @@ from world_files import write_yard
 from dune_rl.__main__ import COMMANDS as PROGRAMS
 from dune_rl.commands import episode_sets, robots
 from dune_rl.commands.command_line import config_folders, parse_arguments
-from dune_rl.commands.engines.job import parse_settings as engines_settings
+from dune_rl.commands.engines import parse_settings as engines_settings
 from dune_rl.config.compose import (
     check_sweep,
     compose,

@@ -10,8 +10,8 @@ from documents import ROOT, TUTORIAL, commands
 from user_packages import packages_on_path, write_package
 
 from dune_rl import __main__ as overview
-from dune_rl.commands import evaluate, train
-from dune_rl.commands.view import main as view
+from dune_rl import evaluate, train
+from dune_rl.view import main as view
 
 STEPS = "task.terminations.time_limit.max_steps=20"
 TRAINING = (

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import yaml
 
-from dune_rl.commands import evaluate
+from dune_rl import evaluate
 from dune_rl.evaluation import run_plan
 from dune_rl.evaluation.blocks import EpisodeBlock
 from dune_rl.evaluation.protocols.run_rows import describe_runs, run_rows

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dune_rl.commands import evaluate
+from dune_rl import evaluate
 from dune_rl.evaluation.recorder import steepest_slope_deg
 from dune_rl.geometry.heightfield import HeightField
 

@@ -14,7 +14,7 @@ import pyarrow.parquet
 import pytest
 import yaml
 
-from dune_rl.commands import evaluate
+from dune_rl import evaluate
 from dune_rl.evaluation import run_plan
 from dune_rl.evaluation.blocks import EpisodeBlock, FinishedEpisode, missing_blocks
 from dune_rl.evaluation.episode_sets import read_episode_set, write_episode_set

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from dune_rl.commands import evaluate
+from dune_rl import evaluate
 from dune_rl.config.compose import compose_evaluation
 from dune_rl.evaluation.policies import policy_sources
 

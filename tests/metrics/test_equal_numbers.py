@@ -14,7 +14,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from torchrl.envs import Compose, TransformedEnv
 
 import dune_rl
-from dune_rl.commands import evaluate
+from dune_rl import evaluate
 from dune_rl.env.torchrl import EpisodeMetrics
 from dune_rl.learning.run.log import RunLog
 from dune_rl.metrics.registry import METRICS

@@ -7,7 +7,7 @@ import pytest
 from documents import ROOT
 from report_runs import episode_rows, write_evaluation
 
-from dune_rl.commands import report
+from dune_rl import report
 from dune_rl.core.errors import ConfigError
 from dune_rl.reporting.markdown_blocks import rewrite_file, rewrite_text
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from report_runs import episode_rows, write_evaluation, write_sweep, write_training
 
-from dune_rl.commands import report
+from dune_rl import report
 from dune_rl.commands.pages import PAGES, show_help
 from dune_rl.metrics.number_text import MINUS, NOTHING
 from dune_rl.reporting.comparisons.collect import collect_comparisons

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 from report_runs import episode_rows, write_evaluation
 
-from dune_rl.commands import command_line, report
+from dune_rl import report
+from dune_rl.commands import command_line
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.paths import unused_folder
 from dune_rl.reporting import output

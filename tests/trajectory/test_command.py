@@ -7,7 +7,7 @@ import pytest
 from world_files import write_yard
 
 import dune_rl
-from dune_rl.commands import trajectory
+from dune_rl import trajectory
 from dune_rl.core.errors import ConfigError, WorldError
 from dune_rl.trajectories.settings import choose_world, parse_words
 from dune_rl.worlds.importing.actor_files import read_actor_file

@@ -13,7 +13,7 @@ from PIL import Image
 from sites import write_site
 from world_files import CRATE, write_yard
 
-from dune_rl.commands import view
+from dune_rl import view
 from dune_rl.reporting.views import maps
 from dune_rl.visualization.site_map import colours
 from dune_rl.visualization.site_map.figure import draw_site_map

@@ -11,7 +11,7 @@ import yaml
 from PIL import Image
 from training import make_sac
 
-from dune_rl.commands import view
+from dune_rl import view
 from dune_rl.config.build import make_torchrl_env
 from dune_rl.config.compose import compose, compose_environment, compose_view
 from dune_rl.core.errors import ConfigError

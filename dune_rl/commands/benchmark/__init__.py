@@ -1,9 +1,46 @@
-"""Cost of every part: `python -m dune_rl.benchmark` prints JSON lines.
+"""Cost of every part of a step: `python -m dune_rl.benchmark` prints a JSON line for each part.
 
-All ratios come from one run on one core, in rounds that alternate between what
-is compared, so that a noisy machine disturbs all of it alike.
+All ratios come from one run on one core, in rounds that alternate between what is compared, so that a noisy
+machine disturbs all of it alike.
 """
 
-from dune_rl.commands.benchmark.job import main, run
+import json
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
-__all__ = ["main", "run"]
+from dune_rl.commands import command_line
+from dune_rl.commands.benchmark import parts
+from dune_rl.commands.benchmark.sensors import measure_sensors
+from dune_rl.config.commands import BenchmarkConf
+from dune_rl.config.compose import compose_benchmark
+
+_MEASURES: Mapping[str, Callable[[BenchmarkConf], Mapping[str, Any]]] = {
+    "environment": parts.measure_environment,
+    "cameras": parts.measure_cameras,
+    "sensors": measure_sensors,
+    "terrain": parts.measure_terrain,
+    "new_world": parts.measure_new_world,
+    "world_memory": parts.measure_world_memory,
+    "groups": parts.measure_groups,
+    "actors": parts.measure_actors,
+    "engines": parts.measure_engines,
+}
+# Parts that replace the agent groups of the settings, or have none.
+_WITHOUT_GROUPS = ("terrain", "groups", "actors", "processes")
+
+
+def run(words: Sequence[str]) -> None:
+    """Measure what the command line says."""
+    parsed = command_line.parse_arguments(words)
+    conf = compose_benchmark(parsed.overrides, command_line.config_folders(parsed))
+    for part, measure in _MEASURES.items():
+        if part in conf.parts:
+            _emit(part, conf, measure(conf))
+    for processes in conf.processes if "processes" in conf.parts else ():
+        _emit("processes", conf, parts.measure_processes(conf, processes))
+
+
+def _emit(part: str, conf: BenchmarkConf, found: Mapping[str, Any]) -> None:
+    counts = {group.name: group.count for group in conf.groups}
+    groups = {} if part in _WITHOUT_GROUPS else {"groups": counts}
+    print(json.dumps({"benchmark": part, "world": conf.world.name, **groups, **found}), flush=True)

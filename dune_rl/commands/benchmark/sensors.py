@@ -5,8 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from dune_rl.commands.benchmark.measuring import median_ratio, time_calls, time_in_turns
-from dune_rl.config.build import make_simulation
+from dune_rl.commands.benchmark.measuring import median_ratio, start_simulation, time_in_turns
 from dune_rl.config.commands import BenchmarkConf
 from dune_rl.core.errors import ConfigError
 from dune_rl.env.pictures import Pictures
@@ -24,7 +23,7 @@ from dune_rl.worlds.appearance import bake_world
 from dune_rl.worlds.world import World
 
 _GRID, _GRID_SPACING_M = 256, 0.25
-_OUR_CALLS, _THEIR_CALLS = 5, 2
+_CALLS = {"ours": 5, "theirs": 2}
 
 
 def measure_sensors(conf: BenchmarkConf) -> dict[str, float]:
@@ -33,8 +32,7 @@ def measure_sensors(conf: BenchmarkConf) -> dict[str, float]:
     A speed-up above 1 means that ours is faster. Both have equal geometry and equal poses: those of the
     first agent of each scene.
     """
-    simulation = make_simulation(conf, conf.scenes, conf.seed)
-    simulation.reset()
+    simulation = start_simulation(conf)
     world = simulation.worlds.worlds[0]
     vertices, faces = world.terrain.mesh()
     statics = [StaticBody("ground", vertices, faces, 1.0, ground=True)]
@@ -49,8 +47,7 @@ def measure_sensors(conf: BenchmarkConf) -> dict[str, float]:
     hills = _compare_camera(conf, field, simulation, heights)
     heights.close()
     large = partial(Pictures(simulation).from_behind, 0, 1280, 720)
-    time_calls(large, 1)
-    picture_s = float(np.median([time_calls(large, 1) for _ in range(min(5, conf.rounds))]))
+    pictures = time_in_turns({"large": large}, min(5, conf.rounds), warm_up=1)["large"]
     simulation.close()
     return {
         "lidar_us": lidar["ours"],
@@ -58,7 +55,7 @@ def measure_sensors(conf: BenchmarkConf) -> dict[str, float]:
         "camera_us": camera["ours"],
         "camera_speedup": camera["speedup"],
         "camera_speedup_heightfield": hills["speedup"],
-        "picture_1280x720_s": picture_s,
+        "picture_1280x720_s": float(np.median(pictures)),
     }
 
 
@@ -116,9 +113,7 @@ def _compare_camera(
 def _compare(
     conf: BenchmarkConf, ours: Callable[[], object], theirs: Callable[[], object]
 ) -> dict[str, float]:
-    for action in (ours, theirs):
-        time_calls(action, 2)
-    times = time_in_turns({"ours": (ours, _OUR_CALLS), "theirs": (theirs, _THEIR_CALLS)}, conf.rounds)
+    times = time_in_turns({"ours": ours, "theirs": theirs}, conf.rounds, _CALLS, warm_up=2)
     return {
         "ours": float(np.median(times["ours"])) / conf.scenes * 1e6,
         "speedup": median_ratio(times["theirs"], times["ours"]),

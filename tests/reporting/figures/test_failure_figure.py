@@ -12,7 +12,7 @@ import pytest
 import yaml
 from report_runs import methods_of
 
-from dune_rl.commands import evaluate
+from dune_rl import evaluate
 from dune_rl.reporting.comparisons.comparison import EvaluatedPolicy
 from dune_rl.reporting.figures.failure_replay import replay_failures
 from dune_rl.reporting.figures.failures import (
