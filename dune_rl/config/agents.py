@@ -91,13 +91,12 @@ def is_complete(section: str, settings: Mapping[str, Any]) -> bool:
 class AgentGroupConf(Settings):
     """A group of `count` equal agents.
 
-    `body` is a robot, or a person, vehicle, animal or drone (`BODIES`).
-    `controller` is `external` (a user or a learner gives its actions), `path`
-    (moved along a path, `path.mode`), `trajectory` (the one of the world's file),
-    `{trajectory: FILE}` (those of another file), a behaviour, or a checkpoint of
-    a trained policy. `path` has the paths on which persons start, and between
-    whose ends they go; other bodies have none unless it is given, and start and
-    go in the region of their task. With `presence` the agents come and go.
+    `body` is a robot, or a person, vehicle, animal or drone (`BODIES`). `controller` is `external` (a user or
+    a learner gives its actions), `path` (moved along a path, `path.mode`), `trajectory` (the one of the
+    world's file), `{trajectory: FILE}` (those of another file), a behaviour, or a checkpoint of a trained
+    policy. `path` has the paths on which persons start, and between whose ends they go; other bodies have
+    none unless it is given, and start and go in the region of their task. With `presence` the agents come and
+    go.
 
     `sensors`, `task` and `metrics` are settings, or the name of a preset (`presets_of`). Where one is left
     out, the preset of the body and the controller is filled in, and so is `path` for agents on paths.

@@ -51,8 +51,7 @@ _DEFAULT_WORLD = "inspection"
 def compose(overrides: Sequence[str] = (), config_dirs: Sequence[str] = ()) -> Conf:
     """The settings of a training run; `ConfigError` names every fault.
 
-    `overrides` are words as on the command line; `config_dirs` are further
-    folders of options.
+    `overrides` are words as on the command line; `config_dirs` are further folders of options.
     """
     return _compose(Conf, "train", overrides, config_dirs)
 
@@ -108,9 +107,8 @@ def compose_environment(
 ) -> EnvConf:
     """The settings of an environment alone.
 
-    In `settings` a string chooses an option of a group (`actors="none"`), and
-    anything else changes values. They take precedence over the overrides. A
-    `world` of None is that of a scenario, or else inspection.
+    In `settings` a string chooses an option of a group (`actors="none"`), and anything else changes values.
+    They take precedence over the overrides. A `world` of None is that of a scenario, or else inspection.
     """
     if isinstance(overrides, str) or isinstance(config_dirs, str):
         raise ConfigError("overrides and config_dirs are lists of strings; write [...] round the one")

@@ -27,8 +27,7 @@ _PROVIDER = "dune_rl"
 def offer_user_parts(folders: Sequence[str] = ()) -> None:
     """Make users' parts options of Hydra's, save those that a file in `folders` stands for.
 
-    A package is not imported for it, so that only the name of its part is
-    stated; the schema knows the rest.
+    A package is not imported for it, so that only the name of its part is stated; the schema knows the rest.
     """
     for group, registry in REGISTRIES.items():
         store = ConfigStore.instance()

@@ -57,9 +57,8 @@ class ParsedOverrides:
     ) -> list[str]:
         """The overrides in Hydra's own form, with the groups that are `present` in its defaults list.
 
-        Settings that are not `stated` in YAML get the prefix `++`: Hydra reports
-        one unknown setting at a time, and the schema reports all of them
-        together. A sweep is kept, or replaced by its first value.
+        Settings that are not `stated` in YAML get the prefix `++`: Hydra reports one unknown setting at a
+        time, and the schema reports all of them together. A sweep is kept, or replaced by its first value.
         """
         words = [_hydra_word(override, "", first_of_sweep) for override in self.engine]
         for override in self.groups:

@@ -13,11 +13,10 @@ Target = TypeVar("Target", bound=Callable[..., Any])
 class RegisterDecorator:
     """Makes a function or class known to this process as a part of one kind, by its own name or another.
 
-    `@register_reward` takes the function's name, `@register_reward("near_miss")`
-    another. Its parameters, which have types and defaults, become settings.
-    Worker processes get the function along. A package declares the same with
-    an entry point, for command lines too. A name that is taken, and parameters
-    that cannot be settings, are errors.
+    `@register_reward` takes the function's name, `@register_reward("near_miss")` another. Its parameters,
+    which have types and defaults, become settings. Worker processes get the function along. A package
+    declares the same with an entry point, for command lines too. A name that is taken, and parameters that
+    cannot be settings, are errors.
     """
 
     def __init__(self, location: str, then: Callable[[str], None] | None = None) -> None:

@@ -60,18 +60,16 @@ class DerivedSettings(Settings):
 class Registry(Generic[ProductT]):
     """The registered parts of one kind by name, and their settings classes.
 
-    A part's settings are its parameters with their types, defaults and ranges
-    (`Annotated[float, pydantic.Field(gt=0)]`), or one parameter whose type is
-    a `Settings` class. Some parameters are not settings but are passed by the
-    caller, such as `state, group`: `function_leading` names those of a
-    function, which must come first, and `class_leading` those of a class, in
-    any position. Either is None if parts cannot be functions, or classes.
+    A part's settings are its parameters with their types, defaults and ranges (`Annotated[float,
+    pydantic.Field(gt=0)]`), or one parameter whose type is a `Settings` class. Some parameters are not
+    settings but are passed by the caller, such as `state, group`: `function_leading` names those of a
+    function, which must come first, and `class_leading` those of a class, in any position. Either is None if
+    parts cannot be functions, or classes.
 
-    The settings class of each part derives from `base`, whose field `tag`
-    holds the part's name. `product` is the class or protocol of the objects
-    that `build` returns; `returned` is that of a function's return value, if it
-    differs. `form` describes a valid part, for messages. `location` is the
-    import path of the registry object.
+    The settings class of each part derives from `base`, whose field `tag` holds the part's name. `product` is
+    the class or protocol of the objects that `build` returns; `returned` is that of a function's return
+    value, if it differs. `form` describes a valid part, for messages. `location` is the import path of the
+    registry object.
     """
 
     def __init__(
@@ -183,9 +181,8 @@ class Registry(Generic[ProductT]):
     def register(self, target: Target, name: str | None = None) -> Target:
         """Register a part in this process as `name` (default: its `__name__`), and return it.
 
-        Registering it again replaces it, as when a notebook's cell runs twice.
-        Raises an error if the name is taken, or a parameter cannot be a
-        setting.
+        Registering it again replaces it, as when a notebook's cell runs twice. Raises an error if the name is
+        taken, or a parameter cannot be a setting.
         """
         name = name if name is not None else str(getattr(target, "__name__", target))
         where = _import_path(target)

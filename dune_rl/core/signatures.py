@@ -60,10 +60,9 @@ def read_signature(
 ) -> PartSignature:
     """The signature of a part, which must have this `form`, in words.
 
-    `leading` names the parameters that precede the settings of a "function"
-    and of a "class", None where a part cannot be one. No parameter may have a
-    `reserved` name. A function must return a `product` if it says what it
-    returns. Raises `error`, whose sentence opens with `origin`.
+    `leading` names the parameters that precede the settings of a "function" and of a "class", None where a
+    part cannot be one. No parameter may have a `reserved` name. A function must return a `product` if it says
+    what it returns. Raises `error`, whose sentence opens with `origin`.
     """
     reader = _Reader(origin, error)
     is_class = inspect.isclass(target)

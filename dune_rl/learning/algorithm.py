@@ -37,15 +37,13 @@ class LearnerContext:
 class Algorithm(ABC):
     """The learner of one agent group: networks, losses, and a buffer of collected data.
 
-    For each collected batch the trainer calls `absorb`, then `update`; then the
-    group acts by `policy`. The learner decides how long it stores a batch: an
-    off-policy one fills a replay buffer, an on-policy one stores a batch until
-    it has been used. Frames are control steps, counted over all scenes; they do
-    not depend on the number of agents.
+    For each collected batch the trainer calls `absorb`, then `update`; then the group acts by `policy`. The
+    learner decides how long it stores a batch: an off-policy one fills a replay buffer, an on-policy one
+    stores a batch until it has been used. Frames are control steps, counted over all scenes; they do not
+    depend on the number of agents.
 
-    A subclass implements `absorb` and `update`; it sets `architecture` before it
-    calls `super().__init__`, or overrides `make_network` and `network_settings`.
-    It adds all further state to `state_dict`.
+    A subclass implements `absorb` and `update`; it sets `architecture` before it calls `super().__init__`, or
+    overrides `make_network` and `network_settings`. It adds all further state to `state_dict`.
     """
 
     architecture = Architecture((256, 256))

@@ -33,9 +33,8 @@ def available_cores() -> int:
 def learner_threads(conf: CollectorConf) -> int:
     """Threads for the learners beside the collector's workers.
 
-    One in the mode `serial`, whose results then do not depend on the machine's
-    cores. At most four otherwise: networks of a few hundred units gain nothing
-    from more, and idle threads that spin slow the workers down.
+    One in the mode `serial`, whose results then do not depend on the machine's cores. At most four otherwise:
+    networks of a few hundred units gain nothing from more, and idle threads that spin slow the workers down.
     """
     if conf.mode == "serial":
         return 1
@@ -79,11 +78,10 @@ def _blocked_signals() -> Iterator[None]:
 class TransitionCollector:
     """Collects batches (scenes, steps) with policies of all groups, whose weights are sent now and then.
 
-    `policies` (by group) must be on the CPU; they are this object's own copies.
-    In the mode `serial`, `state` restores the scenes in the middle of their
-    episodes, bit for bit; in the other modes a resumed run begins new episodes.
-    Each `stage` of a serial run has episodes of its own. With a `population` the policies are joined by its
-    snapshots, which act in a share of the episodes.
+    `policies` (by group) must be on the CPU; they are this object's own copies. In the mode `serial`, `state`
+    restores the scenes in the middle of their episodes, bit for bit; in the other modes a resumed run begins
+    new episodes. Each `stage` of a serial run has episodes of its own. With a `population` the policies are
+    joined by its snapshots, which act in a share of the episodes.
     """
 
     def __init__(

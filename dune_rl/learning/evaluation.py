@@ -50,12 +50,11 @@ def evaluate(
 ) -> dict[str, list[MetricsRow]]:
     """By group, the metrics of each agent in `episodes` episodes of `seed`, from number `first` on, in order.
 
-    A row has the metrics by name and "agent", the agent's number in its group.
-    `env` is a batch of scenes with metrics (`EpisodeMetrics`), seeded anew here;
-    how many there are changes no row by more than its last digits. The process's
-    random states are left as they were. When `stop` returns true, the rows finished
-    by then are returned. `progress` is called with the number of finished episodes.
-    Groups without metrics are left out; raises ConfigError if none has any.
+    A row has the metrics by name and "agent", the agent's number in its group. `env` is a batch of scenes
+    with metrics (`EpisodeMetrics`), seeded anew here; how many there are changes no row by more than its last
+    digits. The process's random states are left as they were. When `stop` returns true, the rows finished by
+    then are returned. `progress` is called with the number of finished episodes. Groups without metrics are
+    left out; raises ConfigError if none has any.
     """
     finished: dict[str, dict[int, list[MetricsRow]]] = {group: {} for group in env.metric_names}
     if not finished:

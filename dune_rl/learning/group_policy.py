@@ -88,11 +88,10 @@ def acted_by_past(batch: TensorDictBase, group: str) -> torch.Tensor | None:
 def select_group(batch: TensorDictBase, group: str) -> TensorDictBase:
     """What a collected batch (M scenes, T steps) holds of the G agents of `group`, with batch size (M, T, G).
 
-    Entries are "observation", "action", "done" and so on, and the same under
-    "next" after the step. An agent is "done" after the step at its own end or
-    at its episode's, so that no sequence goes on into the next episode; "done"
-    before the step marks an agent that ended earlier in this episode, or has not come yet, and idles, and one
-    that acted by a past policy, of which nothing is learned.
+    Entries are "observation", "action", "done" and so on, and the same under "next" after the step. An agent
+    is "done" after the step at its own end or at its episode's, so that no sequence goes on into the next
+    episode; "done" before the step marks an agent that ended earlier in this episode, or has not come yet,
+    and idles, and one that acted by a past policy, of which nothing is learned.
     """
     now, after = batch.get(group), batch.get(("next", group))
     past = now.get(PAST, None)

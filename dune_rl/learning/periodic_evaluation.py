@@ -73,9 +73,8 @@ class PeriodicEvaluation:
     ) -> bool:
         """Evaluate the policies after `frames` into `rows`; returns whether they are the best so far.
 
-        `progress` is called with the number of finished episodes.
-        When `stop` returns true meanwhile, nothing is kept: short episodes would be
-        over-represented, and a resumed run will evaluate again.
+        `progress` is called with the number of finished episodes. When `stop` returns true meanwhile, nothing
+        is kept: short episodes would be over-represented, and a resumed run will evaluate again.
         """
         for group, learner in self._learners.items():
             self._policies[group].load_state_dict(learner.policy.state_dict())

@@ -63,11 +63,10 @@ class PackedObservation(NamedTuple):
 class PolicySpec:
     """Observation keys with their sizes, in the order in which they are concatenated, and action bounds.
 
-    `low` and `high` are in the action's own (physical) units. `ranges` names the
-    parts whose values are positive throughout, such as a LiDAR's: of those
-    it is the ratio that matters, 0.3 m to 0.6 m as much as 3 m to 6 m. `sizes`
-    are of the vectors; `images` follow them in the same way. All agents of a
-    group have the same spec. `turning` is of bodies that cannot turn on the spot.
+    `low` and `high` are in the action's own (physical) units. `ranges` names the parts whose values are
+    positive throughout, such as a LiDAR's: of those it is the ratio that matters, 0.3 m to 0.6 m as much as 3
+    m to 6 m. `sizes` are of the vectors; `images` follow them in the same way. All agents of a group have the
+    same spec. `turning` is of bodies that cannot turn on the spot.
     """
 
     sizes: Mapping[str, int]

@@ -44,9 +44,8 @@ from dune_rl.statistics.measures import MetricsRow
 class TrainingResult:
     """Result of a run. `signal` is the number of the signal that stopped it early, or None.
 
-    `updates` is the sum over the groups. `specs` are those of the policies, and
-    `evaluation` holds the episodes of the last evaluation, by group; `history`
-    holds the rows of metrics.csv.
+    `updates` is the sum over the groups. `specs` are those of the policies, and `evaluation` holds the
+    episodes of the last evaluation, by group; `history` holds the rows of metrics.csv.
     """
 
     run_dir: Path
@@ -62,14 +61,12 @@ class Trainer:
     """Trains the agent groups of an environment in `run_dir`, from scratch or from a checkpoint (`resume`).
 
     Every group of `env.group_map` has its own learner, or acts by a frozen policy; `learning` has the
-    algorithm and its settings. `make_env(num_scenes, seed)` must be picklable
-    unless the collector is serial. `config` is the resolved configuration as
-    plain containers; it is stored with the weights. With a serial collector, a
-    run that was stopped and resumed ends with the same weights as an
-    uninterrupted one; with worker processes, a resumed run starts new episodes.
-    TensorBoard lists `hyperparameters` beside the results, and shows what `make_pictures(env, episodes)`
-    draws of the first episodes of each evaluation. The best policies are those with which the group `judged`
-    does best; None: all groups in the mean.
+    algorithm and its settings. `make_env(num_scenes, seed)` must be picklable unless the collector is serial.
+    `config` is the resolved configuration as plain containers; it is stored with the weights. With a serial
+    collector, a run that was stopped and resumed ends with the same weights as an uninterrupted one; with
+    worker processes, a resumed run starts new episodes. TensorBoard lists `hyperparameters` beside the
+    results, and shows what `make_pictures(env, episodes)` draws of the first episodes of each evaluation. The
+    best policies are those with which the group `judged` does best; None: all groups in the mean.
 
     Raises CheckpointError if the folder cannot be written, already holds a
     run, or the checkpoint does not fit. `train` may be called once.

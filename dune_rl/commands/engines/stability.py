@@ -20,14 +20,12 @@ _JUMP = 1.5
 class FaultCounts:
     """Faults in `minutes` of simulated time, over `episodes`.
 
-    `nan` counts control steps whose final state is not finite, `fallen` those
-    with the origin far below the terrain, `jumps` those that move the robot
-    more than 1.5 times as far as its energy allows (see `SpeedLimit`), and
-    `diverged` the episodes that were given up for one of these. `fast` counts
-    control steps that move it horizontally more than 1.5 times as far as its
-    largest commanded speed, and `fastest_mps` is the largest speed of any step.
-    These two are no faults by themselves: a robot that tumbles is fast, and so
-    is one that its own motors throw, which may be due to its model.
+    `nan` counts control steps whose final state is not finite, `fallen` those with the origin far below the
+    terrain, `jumps` those that move the robot more than 1.5 times as far as its energy allows (see
+    `SpeedLimit`), and `diverged` the episodes that were given up for one of these. `fast` counts control
+    steps that move it horizontally more than 1.5 times as far as its largest commanded speed, and
+    `fastest_mps` is the largest speed of any step. These two are no faults by themselves: a robot that
+    tumbles is fast, and so is one that its own motors throw, which may be due to its model.
     """
 
     minutes: float
@@ -43,19 +41,16 @@ class FaultCounts:
 class SpeedLimit:
     """Largest possible speeds of M robots of `mass_kg`, by conservation of energy.
 
-    Ground at rest takes energy and gives none. After a control step a robot
-    therefore cannot be faster than its speed before the step, the work of its
-    motors and the loss of height allow:
+    Ground at rest takes energy and gives none. After a control step a robot therefore cannot be faster than
+    its speed before the step, the work of its motors and the loss of height allow:
 
         v² = v₀² + 2 (W / m + g Δh)
 
-    This holds for wheels and legs, on level ground, on a slope and in a fall.
-    The kinetic energy of wheels and legs relative to the body is allowed for
-    by `top_mps`, the largest speed that can be commanded, which a robot may
-    always have; that of compressed tyres by taking for v₀ the larger of the
-    speeds at the ends of the last two steps. Energy that a solver adds is not
-    carried over to the next step, so that many small errors are found as one
-    large error is.
+    This holds for wheels and legs, on level ground, on a slope and in a fall. The kinetic energy of wheels
+    and legs relative to the body is allowed for by `top_mps`, the largest speed that can be commanded, which
+    a robot may always have; that of compressed tyres by taking for v₀ the larger of the speeds at the ends of
+    the last two steps. Energy that a solver adds is not carried over to the next step, so that many small
+    errors are found as one large error is.
     """
 
     def __init__(self, top_mps: float, mass_kg: float, speed_mps: Array) -> None:

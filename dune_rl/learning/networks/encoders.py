@@ -27,9 +27,8 @@ class VectorEncoder(nn.Flatten):
 class ScanEncoder(nn.Sequential):
     """Convolutions round a scan (..., n): a return means the same in whatever direction it lies.
 
-    Several scans (..., C, n), the present and earlier ones, are the channels of one circle. The
-    first layer compares them direction by direction; a perceptron would have to learn that anew for every
-    direction.
+    Several scans (..., C, n), the present and earlier ones, are the channels of one circle. The first layer
+    compares them direction by direction; a perceptron would have to learn that anew for every direction.
     """
 
     def __init__(self, part: PartSpec, channels: Annotated[int, Field(ge=1, le=1024)] = 8) -> None:

@@ -20,9 +20,8 @@ _SHORTEST_SCAN = 8
 class Normaliser(nn.Module):
     """Running mean and variance of observation vectors (..., n), which it scales to about unit size.
 
-    Of the entries in `logarithmic` (n,) it takes the logarithm first. On a
-    linear scale of 12 m the last half metre before a wall would be a tenth of
-    a standard deviation.
+    Of the entries in `logarithmic` (n,) it takes the logarithm first. On a linear scale of 12 m the last half
+    metre before a wall would be a tenth of a standard deviation.
     """
 
     mean: Tensor

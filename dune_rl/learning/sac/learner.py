@@ -28,9 +28,8 @@ _SAMPLE = 2048
 class Sac(Algorithm):
     """Soft actor-critic with one policy, and one replay buffer, for all agents of a group.
 
-    The policy's normaliser is updated only by `absorb`, from newly collected
-    observations, before they are learned from. Raises ConfigError where the
-    replay buffer does not fit into memory.
+    The policy's normaliser is updated only by `absorb`, from newly collected observations, before they are
+    learned from. Raises ConfigError where the replay buffer does not fit into memory.
     """
 
     def __init__(self, context: LearnerContext, conf: SacConf) -> None:

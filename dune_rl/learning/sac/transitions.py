@@ -97,11 +97,10 @@ class TransitionCodec:
 def multi_step(reward: Tensor, done: Tensor, n: int, gamma: float) -> tuple[Tensor, Tensor]:
     """Discounted reward of the next `n` steps, and how many there were, from (..., T) each.
 
-    The sum stops at an episode's end, of whatever kind, and at the batch's, so
-    that the second result (int64) is between 1 and `n`: bootstrap from the
-    observation after that many steps, discounted `gamma` to that power.
-    TorchRL's `MultiStep` keeps the first step's `terminated` flag instead of the
-    last one's, which would bootstrap beyond the ends of episodes.
+    The sum stops at an episode's end, of whatever kind, and at the batch's, so that the second result (int64)
+    is between 1 and `n`: bootstrap from the observation after that many steps, discounted `gamma` to that
+    power. TorchRL's `MultiStep` keeps the first step's `terminated` flag instead of the last one's, which
+    would bootstrap beyond the ends of episodes.
     """
     total = reward.clone()
     steps = torch.ones_like(reward, dtype=torch.int64)
