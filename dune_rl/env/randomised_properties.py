@@ -7,7 +7,7 @@ from pydantic import Field
 
 from dune_rl.env.latency import LONGEST_S
 from dune_rl.env.traction import UNCHANGED_CONTACTS, ContactFactors
-from dune_rl.physics.varied_body import AS_DESCRIBED, BodyVariation
+from dune_rl.physics.robot_body import AS_DESCRIBED, BodyVariation
 from dune_rl.rendering.weather import WeatherConf
 
 # Metrics are float32, which holds whole numbers below 2**24.

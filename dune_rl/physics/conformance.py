@@ -11,9 +11,8 @@ from dune_rl.core.registry import missing_members
 from dune_rl.geometry.arrays import Array
 from dune_rl.physics.interface import PhysicsRobot, PhysicsScene, SceneSpec, step_scene
 from dune_rl.physics.motors import Motor
-from dune_rl.physics.robot_body import RobotBody
+from dune_rl.physics.robot_body import AS_DESCRIBED, RobotBody
 from dune_rl.physics.shapes import KinematicCapsule, StaticBody
-from dune_rl.physics.varied_body import AS_DESCRIBED
 
 _TIMESTEP_S, _SUBSTEPS = 0.005, 10
 _RADIUS_M, _SPEED_RADPS = 0.1, 5.0

@@ -8,7 +8,6 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from typing import Protocol
-from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,6 +25,7 @@ from dune_rl.physics.gate_loops import (
     find_near,
     measure_moves,
 )
+from dune_rl.physics.process import share_by_identity
 from dune_rl.physics.robot_body import RobotBody, Tyre
 from dune_rl.physics.shapes import KinematicShape, StaticBody
 
@@ -89,7 +89,7 @@ class ObstacleMap:
     """
 
     def __init__(self, statics: tuple[StaticBody, ...]) -> None:
-        # `load_shared_map` finds maps by the id of this tuple, which must not be reused.
+        # See `share_by_identity`.
         self._statics = statics
         numbers = [number for number, body in enumerate(statics) if not body.ground and len(body.faces)]
         obstacles = [statics[number] for number in numbers]
@@ -160,15 +160,8 @@ def _surface_points(triangles: Array, spacing_m: float) -> Iterator[Array]:
                 yield (np.stack([weight.ravel() for weight in weights], axis=1) @ corners).reshape(-1, 2)
 
 
-_maps_by_statics: WeakValueDictionary[int, ObstacleMap] = WeakValueDictionary()
-
-
-def load_shared_map(statics: tuple[StaticBody, ...]) -> ObstacleMap:
-    """The map of `statics`, computed once for all scenes with the same tuple."""
-    found = _maps_by_statics.get(id(statics))
-    if found is None:
-        _maps_by_statics[id(statics)] = found = ObstacleMap(statics)
-    return found
+# The map of a tuple of statics, computed once for all scenes with the same tuple.
+load_shared_map = share_by_identity(ObstacleMap)
 
 
 # Bounds the acceleration of a robot by its motors and gravity; landings on ground change the direction of a

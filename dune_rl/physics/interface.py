@@ -11,9 +11,8 @@ from dune_rl.core.errors import PhysicsError
 from dune_rl.core.registry import Registry
 from dune_rl.core.settings import Settings
 from dune_rl.geometry.arrays import Array
-from dune_rl.physics.robot_body import RobotBody
+from dune_rl.physics.robot_body import BodyVariation, RobotBody
 from dune_rl.physics.shapes import KinematicShape, StaticBody
-from dune_rl.physics.varied_body import BodyVariation
 
 FrictionModel = Literal["pyramid", "cone"]
 
@@ -119,7 +118,7 @@ class PhysicsRobot(Protocol):
     def set_body(self, variation: BodyVariation) -> None:
         """Set masses and motor strength, from the next `reset` on, until they are set again.
 
-        Raises PhysicsError if the engine cannot do it. `varied_urdf` and `scale_motors` do most of it.
+        Raises PhysicsError if the engine cannot do it. `read_urdf_body` and `scale_motors` do most of it.
         """
         ...
 

@@ -151,3 +151,24 @@ def motor_power_w(motors: Sequence[Motor], speeds: Sequence[float], torques: Seq
     for motor, speed, torque in zip(motors, speeds, torques, strict=True):
         power += max(0.0, torque * speed + motor.gear_friction_nm * abs(speed))
     return power
+
+
+class WorkMeter:
+    """Adds up the work of motors, from rest, over physics steps of `step_s`."""
+
+    def __init__(self, motors: Sequence[Motor], step_s: float) -> None:
+        self._motors, self._step_s = motors, step_s
+        self._speeds: Sequence[float] = (0.0,) * len(motors)
+        self._work_j = 0.0
+
+    def add(self, speeds: Sequence[float], torques: Sequence[float]) -> None:
+        """Add the work of a physics step with joint `speeds` [rad/s] at its end and `torques` [N m]."""
+        # The joint speed changes linearly over a step under a constant torque.
+        means = [(before + after) / 2 for before, after in zip(self._speeds, speeds, strict=True)]
+        self._speeds = speeds
+        self._work_j += motor_power_w(self._motors, means, torques) * self._step_s
+
+    def take_j(self) -> float:
+        """The work [J] since the last call."""
+        work, self._work_j = self._work_j, 0.0
+        return work

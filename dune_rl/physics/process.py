@@ -1,10 +1,15 @@
-"""The process that engines run in: what their C code prints, and the memory that they have freed."""
+"""The process that engines run in: messages of C code, freed memory, and results that scenes share."""
 
 import ctypes
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TypeVar
+from weakref import WeakValueDictionary
+
+Key = TypeVar("Key")
+Result = TypeVar("Result")
 
 _STDERR_DESCRIPTOR = 2
 
@@ -38,3 +43,19 @@ def return_free_memory() -> None:
         trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
         if trim is not None:
             trim(0)
+
+
+def share_by_identity(make: Callable[[Key], Result]) -> Callable[[Key], Result]:
+    """Memoize `make` by its argument's identity, as long as somebody uses the result.
+
+    A result must refer to its argument: otherwise another object could get the same id.
+    """
+    results: WeakValueDictionary[int, Result] = WeakValueDictionary()
+
+    def load(key: Key) -> Result:
+        found = results.get(id(key))
+        if found is None:
+            results[id(key)] = found = make(key)
+        return found
+
+    return load

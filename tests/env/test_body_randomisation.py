@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 from typing import Any
+from xml.etree.ElementTree import tostring
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from dune_rl.config.compose import compose_environment
 from dune_rl.core.errors import ConfigError, PhysicsError
 from dune_rl.env.latency import Latency
 from dune_rl.physics.motors import Motor
-from dune_rl.physics.varied_body import BodyVariation, scale_motors, varied_urdf
+from dune_rl.physics.robot_body import BodyVariation, read_urdf_body, scale_motors
 from dune_rl.robots.leo_rover import LeoRover, LeoRoverConf
 
 ROVER_KG = 11.0
@@ -47,7 +48,8 @@ def test_the_centre_of_the_whole_robot_moves_and_its_frame_stays(backend, body):
     made = stage(backend, variation, robot=body, gravity_mps2=0.0)
     made.place([1.0, 2.0, 5.0])
     np.testing.assert_allclose(made.position, [1.0, 2.0, 5.0], atol=1e-9)
-    before, after = (centre_of(text) for text in (body.urdf.read_text(), varied_urdf(body.urdf, variation)))
+    varied = tostring(read_urdf_body(body.urdf, variation), encoding="unicode")
+    before, after = centre_of(body.urdf.read_text()), centre_of(varied)
     np.testing.assert_allclose(after - before, shift, atol=1e-12)
 
 
@@ -262,7 +264,7 @@ def test_a_base_that_weighs_nothing_cannot_move_the_centre(tmp_path):
         '<joint name="j" type="continuous"><parent link="base"/><child link="arm"/></joint></robot>'
     )
     with pytest.raises(PhysicsError, match="holds 0 of 2 kg, too little to move"):
-        varied_urdf(urdf, BodyVariation(centre_shift_b=(0.1, 0.0, 0.0)))
+        read_urdf_body(urdf, BodyVariation(centre_shift_b=(0.1, 0.0, 0.0)))
 
 
 def test_meshes_are_found_from_another_folder(tmp_path):
@@ -271,7 +273,7 @@ def test_meshes_are_found_from_another_folder(tmp_path):
         '<robot name="meshed"><link name="base"><inertial><mass value="2"/></inertial><visual/>'
         '<collision><geometry><mesh filename="parts/a.stl"/></geometry></collision></link></robot>'
     )
-    text = varied_urdf(urdf, BodyVariation(mass_factor=2.0))
+    text = tostring(read_urdf_body(urdf, BodyVariation(mass_factor=2.0)), encoding="unicode")
     assert str(tmp_path / "parts" / "a.stl") in text
     assert "<visual" not in text
     assert 'value="4.0"' in text

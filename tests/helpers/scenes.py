@@ -18,9 +18,8 @@ from dune_rl.geometry.heightfield import HeightField
 from dune_rl.physics.bullet.scene import BulletScene
 from dune_rl.physics.dart.scene import DartScene
 from dune_rl.physics.interface import PhysicsRobot, PhysicsScene, SceneSpec, step_scene
-from dune_rl.physics.robot_body import RobotBody
+from dune_rl.physics.robot_body import BodyVariation, RobotBody
 from dune_rl.physics.shapes import KinematicCapsule, KinematicShape, StaticBody
-from dune_rl.physics.varied_body import BodyVariation
 from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf
 from dune_rl.robots.wheeled import WheeledRobot
 from dune_rl.worlds.props import upright_box

@@ -11,8 +11,7 @@ from dune_rl.config.build import build_world, group_setups
 from dune_rl.env.domain_randomizer import DomainRandomizer
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.physics.interface import SceneSpec
-from dune_rl.physics.robot_body import RobotBody
-from dune_rl.physics.varied_body import AS_DESCRIBED, BodyVariation
+from dune_rl.physics.robot_body import AS_DESCRIBED, BodyVariation, RobotBody
 from dune_rl.worlds.world import World
 
 

@@ -25,7 +25,7 @@ from scenes import (
 )
 from simple_robots import block, body, link
 
-from dune_rl.physics.varied_body import BodyVariation
+from dune_rl.physics.robot_body import BodyVariation
 
 pytestmark = every_backend
 

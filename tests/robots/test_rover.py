@@ -21,7 +21,7 @@ from scenes import (
 )
 
 from dune_rl.geometry.frames import rotation_matrices, wrap_angle
-from dune_rl.physics.varied_body import BodyVariation
+from dune_rl.physics.robot_body import BodyVariation
 from dune_rl.robots.heading import HeadingConf, HeadingController
 from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf, RoverZeroDriveConf
 from dune_rl.robots.wheeled import SkidSteerConf, SkidSteerDrive

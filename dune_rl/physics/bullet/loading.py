@@ -6,16 +6,20 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from weakref import WeakValueDictionary
-from xml.etree.ElementTree import SubElement, tostring
+from xml.etree.ElementTree import Element, SubElement, tostring
 
-from defusedxml.ElementTree import fromstring
 from scipy.spatial.transform import Rotation
 
 from dune_rl.core.errors import PhysicsError
-from dune_rl.physics.process import suppress_stderr
-from dune_rl.physics.robot_body import Coupling, RobotBody, Tyre
-from dune_rl.physics.varied_body import BodyVariation, collision_urdf, varied_urdf
+from dune_rl.physics.process import share_by_identity, suppress_stderr
+from dune_rl.physics.robot_body import (
+    AS_DESCRIBED,
+    BodyVariation,
+    Coupling,
+    RobotBody,
+    Tyre,
+    read_urdf_body,
+)
 
 with suppress_stderr():
     import pybullet
@@ -26,39 +30,36 @@ _ENDING = "/tyre"
 
 
 def tyre_link_name(tyre: Tyre) -> str:
-    """Name of the link that `add_tyre_links` adds for a tyre."""
+    """Name of the link that a tyre has."""
     return f"{tyre.link}{_ENDING}"
 
 
-def add_tyre_links(urdf: str, tyres: Sequence[Tyre]) -> str:
-    """The text of a URDF with a link for each of the tyres, a cylinder without mass fixed to the wheel."""
-    root = fromstring(urdf)
-    for tyre in tyres:
-        name = tyre_link_name(tyre)
-        link = SubElement(root, "link", name=name)
-        # PyBullet gives a link without these 1 kg.
-        inertial = SubElement(link, "inertial")
-        SubElement(inertial, "mass", value="0")
-        SubElement(inertial, "inertia", dict.fromkeys(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), "0"))
-        geometry = SubElement(SubElement(link, "collision"), "geometry")
-        SubElement(geometry, "cylinder", radius=repr(tyre.radius_m), length=repr(tyre.width_m))
-        joint = SubElement(root, "joint", name=name, type="fixed")
-        SubElement(joint, "parent", link=tyre.link)
-        SubElement(joint, "child", link=name)
-        # The link's frame is turned, and not the shape's in it: that would make a slower compound shape.
-        turn, _ = Rotation.align_vectors([tyre.axis], [TYRE_AXIS])
-        xyz, rpy = (
-            " ".join(repr(float(part)) for part in parts) for parts in (tyre.centre, turn.as_euler("xyz"))
-        )
-        SubElement(joint, "origin", xyz=xyz, rpy=rpy)
-    return tostring(root, encoding="unicode")
+def _add_tyre_link(root: Element, tyre: Tyre) -> None:
+    """Add a link for a tyre to a URDF: a cylinder without mass fixed to the wheel."""
+    name = tyre_link_name(tyre)
+    link = SubElement(root, "link", name=name)
+    # PyBullet gives a link without these 1 kg.
+    inertial = SubElement(link, "inertial")
+    SubElement(inertial, "mass", value="0")
+    SubElement(inertial, "inertia", dict.fromkeys(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), "0"))
+    geometry = SubElement(SubElement(link, "collision"), "geometry")
+    SubElement(geometry, "cylinder", radius=repr(tyre.radius_m), length=repr(tyre.width_m))
+    joint = SubElement(root, "joint", name=name, type="fixed")
+    SubElement(joint, "parent", link=tyre.link)
+    SubElement(joint, "child", link=name)
+    # The link's frame is turned, and not the shape's in it: that would make a slower compound shape.
+    turn, _ = Rotation.align_vectors([tyre.axis], [TYRE_AXIS])
+    xyz, rpy = (
+        " ".join(repr(float(part)) for part in parts) for parts in (tyre.centre, turn.as_euler("xyz"))
+    )
+    SubElement(joint, "origin", xyz=xyz, rpy=rpy)
 
 
 class RobotUrdfs:
     """The URDFs of a robot, as it is or varied, with any of its tyres."""
 
-    def __init__(self, spec: RobotBody, variation: BodyVariation | None = None) -> None:
-        # `load_shared_urdfs` finds URDFs by the id of this, which must not be reused.
+    def __init__(self, spec: RobotBody, variation: BodyVariation = AS_DESCRIBED) -> None:
+        # See `share_by_identity`.
         self._spec, self._variation = spec, variation
         self._texts: dict[frozenset[int], str] = {}
 
@@ -66,12 +67,20 @@ class RobotUrdfs:
         """The URDF with the tyres that have these indices."""
         text = self._texts.get(tyres)
         if text is None:
-            urdf, variation = self._spec.urdf, self._variation
-            text = collision_urdf(urdf) if variation is None else varied_urdf(urdf, variation)
-            if tyres:
-                text = add_tyre_links(text, [self._spec.tyres[index] for index in sorted(tyres)])
-            self._texts[tyres] = text = add_visual_stubs(text)
+            root = read_urdf_body(self._spec.urdf, self._variation)
+            for index in sorted(tyres):
+                _add_tyre_link(root, self._spec.tyres[index])
+            # PyBullet draws a link's collision shapes where it has no visual shape, and for that computes the
+            # convex hull of each sphere and cylinder at every load: four fifths of a rover's time.
+            for link in root.findall("link"):
+                geometry = SubElement(SubElement(link, "visual"), "geometry")
+                SubElement(geometry, "box", size="0.001 0.001 0.001")
+            self._texts[tyres] = text = tostring(root, encoding="unicode")
         return text
+
+
+# The URDFs of a robot as it is, which all scenes with the same body share.
+load_shared_urdfs = share_by_identity(RobotUrdfs)
 
 
 @contextmanager
@@ -93,30 +102,6 @@ def named_file(text: str) -> Iterator[str]:
         yield name
     finally:
         Path(name).unlink()
-
-
-_urdfs_by_spec: WeakValueDictionary[int, RobotUrdfs] = WeakValueDictionary()
-
-
-def load_shared_urdfs(spec: RobotBody) -> RobotUrdfs:
-    """The URDFs of a robot as it is, which all scenes with the same `spec` share."""
-    found = _urdfs_by_spec.get(id(spec))
-    if found is None:
-        _urdfs_by_spec[id(spec)] = found = RobotUrdfs(spec)
-    return found
-
-
-def add_visual_stubs(urdf: str) -> str:
-    """The text of a URDF without visual shapes, with a small box as the visual shape of each link.
-
-    PyBullet draws a link's collision shapes where it has no visual ones, and for that computes the convex
-    hull of each sphere and cylinder at every load: four fifths of the time that a rover's takes.
-    """
-    root = fromstring(urdf)
-    for link in root.findall("link"):
-        geometry = SubElement(SubElement(link, "visual"), "geometry")
-        SubElement(geometry, "box", size="0.001 0.001 0.001")
-    return tostring(root, encoding="unicode")
 
 
 class LoadedBody:
@@ -168,10 +153,6 @@ class LoadedBody:
         """Remove the body from the client, if it is loaded."""
         if self.handle is not None:
             pybullet.removeBody(self.handle, physicsClientId=self.client)
-        self.handle = None
-
-    def release(self) -> None:
-        """Drop the handle after the client was disconnected."""
         self.handle = None
 
     def joint_angles(self, joints: Sequence[str]) -> tuple[float, ...]:
@@ -289,76 +270,3 @@ def _add_coupling(body: LoadedBody, coupling: Coupling) -> None:
     pybullet.changeConstraint(
         gear, gearRatio=ratio, maxForce=_GEAR_FORCE, erp=_GEAR_ERP, physicsClientId=body.client
     )
-
-
-class BodyLoader:
-    """Loads `body` from the URDF of `spec`, at the start pose, and sets up its links and joints.
-
-    PyBullet can neither add links to a loaded body nor remove them, and its
-    masses stay as loaded: for each such change the robot is loaded anew.
-    """
-
-    def __init__(self, body: LoadedBody, spec: RobotBody, hull_mask: int) -> None:
-        self._body, self._spec, self._hull_mask = body, spec, hull_mask
-        self._pose: tuple[Sequence[float], Sequence[float]] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-        self._urdfs = load_shared_urdfs(spec)
-        self._next_variation: BodyVariation | None = None
-        self._variation: BodyVariation | None = None
-
-    def set_variation(self, variation: BodyVariation) -> None:
-        """Set the masses from the next `load` on."""
-        self._next_variation = None if variation.keeps_masses else variation
-
-    def set_start_pose(self, position_w: Sequence[float], quaternion: Sequence[float]) -> None:
-        """Set the pose, (3) [m] and xyzw (4), from the next load on."""
-        self._pose = (position_w, quaternion)
-
-    def load(self) -> int:
-        """Load the robot with its present masses and without tyres, and return PyBullet's handle."""
-        if self._next_variation is not self._variation:
-            self._variation = variation = self._next_variation
-            shared = variation is None
-            self._urdfs = load_shared_urdfs(self._spec) if shared else RobotUrdfs(self._spec, variation)
-        return self._load(frozenset())
-
-    def reload(self, tyres: frozenset[int]) -> int:
-        """Replace the robot by one with the tyres of these indices, in the same state; return its handle."""
-        body, client = self._body, self._body.client
-        old = body.handle
-        position, quaternion = pybullet.getBasePositionAndOrientation(old, physicsClientId=client)
-        linear, angular = pybullet.getBaseVelocity(old, physicsClientId=client)
-        joints = pybullet.getJointStates(old, body.movable, physicsClientId=client)
-        body.remove()
-        robot = self._load(tyres)
-        pybullet.resetBasePositionAndOrientation(robot, position, quaternion, physicsClientId=client)
-        pybullet.resetBaseVelocity(robot, linear, angular, physicsClientId=client)
-        for joint, (angle, speed, _, _) in zip(body.movable, joints, strict=True):
-            pybullet.resetJointState(robot, joint, angle, speed, physicsClientId=client)
-        return robot
-
-    def _load(self, tyres: frozenset[int]) -> int:
-        # PyBullet loads a URDF only from a file.
-        with named_file(self._urdfs.text(tyres)) as name:
-            robot = self._load_file(name, has_tyres=bool(tyres))
-        self._body.take(robot)
-        set_up_links(self._body, self._spec, self._hull_mask)
-        set_up_joints(self._body, self._spec)
-        return robot
-
-    def _load_file(self, name: str, *, has_tyres: bool) -> int:
-        flags = pybullet.URDF_USE_INERTIA_FROM_FILE
-        if has_tyres:
-            # Round, not prisms with 32 sides.
-            flags |= pybullet.URDF_USE_IMPLICIT_CYLINDER
-        position_w, quaternion = self._pose
-        try:
-            robot: int = pybullet.loadURDF(
-                name,
-                basePosition=list(position_w),
-                baseOrientation=list(quaternion),
-                flags=flags,
-                physicsClientId=self._body.client,
-            )
-        except pybullet.error as error:
-            raise PhysicsError(f"PyBullet cannot load {self._spec.urdf}: {error}") from error
-        return robot

@@ -4,22 +4,20 @@ import math
 from collections.abc import Sequence
 
 from dune_rl.physics.bullet.loading import LoadedBody
-from dune_rl.physics.motors import Servos, held_targets, motor_power_w
+from dune_rl.physics.motors import Servos, WorkMeter, held_targets
 from dune_rl.physics.process import suppress_stderr
-from dune_rl.physics.robot_body import RobotBody
-from dune_rl.physics.varied_body import scale_motors
+from dune_rl.physics.robot_body import RobotBody, scale_motors
 
 with suppress_stderr():
     import pybullet
 
 
 class BulletMotors:
-    """Drives the motors' joints of `body` after `commands`, and adds up the motors' work.
+    """Drives the motors' joints of `body`, and adds up the motors' work.
 
-    `commands` has one speed [rad/s] or angle [rad] for each motor. If `are_ideal`,
-    the motors take them once a control step in `begin_step`; if not, they need
-    the joint states in every physics step: `command_step`. `measures_work`
-    tells whether `add_work` is due after every physics step.
+    If `are_ideal`, motors take a command once a control step in `begin_step`; if not, they need the joint
+    states in every physics step: `command_step`. `measures_work` tells whether `add_work` is due after every
+    physics step.
     """
 
     def __init__(self, body: LoadedBody, spec: RobotBody, timestep_s: float, *, measures_work: bool) -> None:
@@ -28,11 +26,8 @@ class BulletMotors:
         self.measures_work = measures_work and bool(spec.motors)
         has_curves = any(math.isfinite(motor.no_load_speed_radps) for motor in spec.motors)
         self._holds_curves = self.are_ideal and has_curves
-        self._present_speeds: Sequence[float] | None = None
         self.set_strength(1.0)
-        self.commands: Sequence[float] = spec.rest_commands()
-        self._work = 0.0
-        self._speeds: Sequence[float] = ()
+        self.reset()
 
     def set_strength(self, strength: float) -> None:
         """Scale the motors of the `RobotBody`; see `scale_motors`."""
@@ -42,20 +37,18 @@ class BulletMotors:
 
     def reset(self) -> None:
         """Set the commands that keep the joints at their start angles, and the work to 0."""
-        self.commands = self._spec.rest_commands()
         self._servos.reset()
-        self.mark_moved()
-        self._work, self._speeds = 0.0, (0.0,) * len(self._motors)
+        self._present_speeds: Sequence[float] | None = None
+        self.work = WorkMeter(self._motors, self._timestep_s)
 
-    def begin_step(self, count: int) -> None:
-        """Pass the commands to the motors for the next `count` physics steps."""
-        if self.are_ideal:
-            if self._holds_curves:
-                self._set_targets(*held_targets(self._motors, self.commands, self.read_speeds()))
-            else:
-                self._set_targets(self.commands, self._torques)
+    def begin_step(self, commands: Sequence[float], count: int) -> None:
+        """Pass speeds [rad/s] or angles [rad], one for each motor, for the next `count` physics steps."""
+        if not self.are_ideal:
+            self._servos.set_commands(commands, count)
+        elif self._holds_curves:
+            self._set_targets(*held_targets(self._motors, commands, self.read_speeds()))
         else:
-            self._servos.set_commands(self.commands, count)
+            self._set_targets(commands, self._torques)
 
     def mark_moved(self) -> None:
         """Drop the speeds that were read before a physics step."""
@@ -94,17 +87,9 @@ class BulletMotors:
         )
 
     def add_work(self) -> None:
-        """Add the motors' work in the last physics step to what `take_work_j` returns."""
+        """Add the motors' work in the last physics step to `work`."""
         _, speeds, _, torques = zip(*self._read(), strict=True)
-        # The joint speed changes linearly over a step under a constant torque.
-        means = [(before + after) / 2 for before, after in zip(self._speeds, speeds, strict=True)]
-        self._speeds = speeds
-        self._work += motor_power_w(self._motors, means, torques) * self._timestep_s
-
-    def take_work_j(self) -> float:
-        """Work [J] of the motors since the last call."""
-        work, self._work = self._work, 0.0
-        return work
+        self.work.add(speeds, torques)
 
     def joint_states(self) -> tuple[float, ...]:
         """See `PhysicsRobot.drive_state`."""

@@ -17,6 +17,7 @@ from dune_rl.physics.bullet.kinematics import BulletKinematics
 from dune_rl.physics.bullet.loading import GEAR_ITERATIONS, GROUND, HULL, OBSTACLE, WHEEL
 from dune_rl.physics.bullet.robot import ANY_BODY, BulletRobot
 from dune_rl.physics.contact_gate import ContactGate, TyreActivation
+from dune_rl.physics.engine_robot import take_forces
 from dune_rl.physics.interface import SceneSpec
 from dune_rl.physics.process import suppress_stderr
 from dune_rl.physics.shapes import StaticBody, mesh_pieces
@@ -145,11 +146,7 @@ class BulletScene:
 
     def begin_step(self, count: int, kinematic_poses: Array) -> None:
         robots = self.robots
-        forces: dict[int, Sequence[float]] = {}
-        for index, robot in enumerate(robots):
-            force = robot.base.take_force()
-            if force is not None:
-                forces[index] = force
+        forces = take_forces(robots)
         duration_s = count * self._spec.timestep_s
         gate = self._gate
         near, exposed = gate.find_contacts(
@@ -185,13 +182,12 @@ class BulletScene:
         for substep in range(1, substeps + 1):
             kinematics.move(substep / substeps)
             for index, force in forces.items():
-                robots[index].base.act_force(force)
+                robots[index].act_force(force)
             self._advance()
             for robot, handles in watched:
-                contacts = robot.touched.record(handles)
+                contacts = robot.record_contacts(handles)
                 if contacts and near:
-                    robot.base.mark_moved()
-                    kinematics.record_contacts(contacts, robot.base)
+                    kinematics.record_contacts(contacts, robot)
             if kinematics.are_pushing:
                 kinematics.yield_to_robots(1 / substeps, self._spec.timestep_s)
 

@@ -4,17 +4,16 @@ import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import Element, ParseError, SubElement, tostring
+from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
-from defusedxml.ElementTree import fromstring, parse
 from scipy.spatial.transform import Rotation
 
 from dune_rl.core.errors import PhysicsError
 from dune_rl.geometry.arrays import Array
 from dune_rl.physics.dart.library import dartpy
 from dune_rl.physics.dart.motors import TYRE_STIFFNESS_NPM, configure_differential, is_chained
-from dune_rl.physics.robot_body import Coupling, RobotBody, Tyre
+from dune_rl.physics.robot_body import AS_DESCRIBED, BodyVariation, Coupling, RobotBody, Tyre, read_urdf_body
 from dune_rl.physics.shapes import StaticBody
 
 # Suffixes of the names of joints and links for the compliance of a tyre, and for its slip along the axle.
@@ -153,16 +152,12 @@ def _format(numbers: Array) -> str:
 _FOLD_DEPTH_M = 10.0
 
 
-def robot_urdf(spec: RobotBody, text: str | None = None) -> str:
-    """Text of the robot's URDF with the additional joints of `dart.joints`.
+def robot_urdf(spec: RobotBody, variation: BodyVariation) -> str:
+    """Text of the robot's URDF with the additional joints for tyres, slip and differentials.
 
-    `text` is a URDF that replaces the robot's own.
     Raises PhysicsError if the file, or a joint or link of `spec`, does not exist.
     """
-    try:
-        root = parse(spec.urdf).getroot() if text is None else fromstring(text)
-    except (OSError, ParseError) as error:
-        raise PhysicsError(f"DART cannot load {spec.urdf}: {error}") from error
+    root = read_urdf_body(spec.urdf, variation)
     joints = {joint.get("name", ""): joint for joint in root.findall("joint")}
     error_text = spec.describe_missing_names(joints, [link.get("name", "") for link in root.findall("link")])
     if error_text:
@@ -247,12 +242,12 @@ _BALL_LENGTH_M = 1e-5
 _MAX_DEFLECTION_M = 0.05
 
 
-def load_template(spec: RobotBody, text: str | None = None) -> Any:
-    """Skeleton of a robot with all joints at their start angles; `text` replaces that of its URDF.
+def load_template(spec: RobotBody, variation: BodyVariation = AS_DESCRIBED) -> Any:
+    """Skeleton of a robot with all joints at their start angles, with the masses of `variation`.
 
     Raises PhysicsError if DART cannot load it.
     """
-    robot = parse_skeleton(robot_urdf(spec, text), spec.urdf.parent)
+    robot = parse_skeleton(robot_urdf(spec, variation), spec.urdf.parent)
     if robot is None:
         raise PhysicsError(f"DART cannot load {spec.urdf}")
     for body in robot.getBodyNodes():

@@ -8,7 +8,7 @@ import numpy as np
 
 from dune_rl.geometry.arrays import Array
 from dune_rl.physics.dart.library import dartpy
-from dune_rl.physics.motors import Motor, Servos, held_targets, motor_power_w
+from dune_rl.physics.motors import Motor, Servos, held_targets
 from dune_rl.physics.robot_body import Coupling, RobotBody
 
 # The loads of four rigid wheels on rigid ground are not unique, and neither are the torques of servos on one
@@ -167,7 +167,7 @@ class Drives:
         *,
         hold_commands: bool,
     ) -> None:
-        self._robot, self.motors, self._gears, self._timestep_s = robot, motors, gears, timestep_s
+        self._robot, self._motors, self._gears, self._timestep_s = robot, motors, gears, timestep_s
         # Indices of the motors' joints in the skeleton.
         self.indices = [robot.getJoint(motor.joint).getIndexInSkeleton(0) for motor in motors]
         self.hold_commands = hold_commands
@@ -177,15 +177,13 @@ class Drives:
         self.compensates_load = not hold_commands and all(
             motor.mode == "velocity" and motor.rotor_inertia_kgm2 > 0.0 for motor in motors
         )
-        self._servo_compliances = self._compute_servo_compliances() if self.compensates_load else []
+        # Speed [rad/s] at which each motor's servo yields under an impulse of 1 N m s.
+        self._servo_compliances: list[float] = []
+        if self.compensates_load:
+            inverse_inertias = robot.getInvMassMatrix().diagonal()[self.indices]
+            self._servo_compliances = (SERVO_SOFTNESS * inverse_inertias).tolist()
         self._impulses: Sequence[float] = [0.0] * robot.getNumDofs()
         self._gear_torques: Sequence[float] = (0.0,) * len(motors)
-
-    def _compute_servo_compliances(self) -> list[float]:
-        """Speed [rad/s] at which each motor's servo yields under an impulse of 1 N m s."""
-        inverse_inertias = self._robot.getInvMassMatrix().diagonal()[self.indices]
-        compliances: list[float] = (SERVO_SOFTNESS * inverse_inertias).tolist()
-        return compliances
 
     def begin_step(self, commands: Sequence[float], count: int) -> None:
         """Take the commands (M) [rad/s, rad] for the next `count` physics steps."""
@@ -194,8 +192,7 @@ class Drives:
             return
         robot, indices = self._robot, self.indices
         if self._have_curves:
-            speeds = robot.getVelocities(indices).tolist()
-            commands, torques = held_targets(self.motors, commands, speeds)
+            commands, torques = held_targets(self._motors, commands, self.speeds())
             robot.setForceUpperLimits(indices, torques)
             robot.setForceLowerLimits(indices, [-torque for torque in torques])
         robot.setCommands(indices, commands)
@@ -203,8 +200,7 @@ class Drives:
     def command_servos(self) -> None:
         """Set target speeds and torque limits of the servos for the next physics step."""
         robot, indices = self._robot, self.indices
-        angles, speeds = robot.getPositions(indices).tolist(), robot.getVelocities(indices).tolist()
-        targets, torques = self._servos.targets(angles, speeds)
+        targets, torques = self._servos.targets(robot.getPositions(indices).tolist(), self.speeds())
         if self._servo_compliances:
             # Compensates for the mean load, as on a slope. Compensation for each motor's own load would make
             # the motors work against each other.
@@ -215,15 +211,11 @@ class Drives:
                 for target, compliance in zip(targets, self._servo_compliances, strict=True)
             ]
         robot.setCommands(indices, targets)
-        if self._gears is None:
-            robot.setForceUpperLimits(indices, torques)
-            robot.setForceLowerLimits(indices, [-torque for torque in torques])
-            return
-        self._gear_torques = gear_torques = self._gears.drive_torques.tolist()
-        upper = [gear + torque for gear, torque in zip(gear_torques, torques, strict=True)]
-        lower = [gear - torque for gear, torque in zip(gear_torques, torques, strict=True)]
-        robot.setForceUpperLimits(indices, upper)
-        robot.setForceLowerLimits(indices, lower)
+        if self._gears is not None:
+            self._gear_torques = self._gears.drive_torques.tolist()
+        gears = self._gear_torques
+        robot.setForceUpperLimits(indices, [gear + own for gear, own in zip(gears, torques, strict=True)])
+        robot.setForceLowerLimits(indices, [gear - own for gear, own in zip(gears, torques, strict=True)])
 
     def note_impulses(self, impulses: Sequence[float]) -> None:
         """Take the constraint impulses [N s, N m s] of all joints in the last physics step."""
@@ -239,34 +231,11 @@ class Drives:
             for impulse, gear_torque in zip(impulses, self._gear_torques, strict=True)
         ]
 
+    def speeds(self) -> list[float]:
+        """Speeds (M) [rad/s] of the motors' joints."""
+        speeds: list[float] = self._robot.getVelocities(self.indices).tolist()
+        return speeds
+
     def state(self) -> tuple[float, ...]:
         """Angles, speeds and torques (3 * M), as in `PhysicsRobot.drive_state`."""
-        robot, indices = self._robot, self.indices
-        return (
-            *robot.getPositions(indices).tolist(),
-            *robot.getVelocities(indices).tolist(),
-            *self.torques(),
-        )
-
-
-class WorkMeter:
-    """Adds up the work of the motors of the skeleton `robot`, which is at rest at first."""
-
-    def __init__(self, robot: Any, drives: Drives, timestep_s: float) -> None:
-        self._robot, self._drives, self._timestep_s = robot, drives, timestep_s
-        self._speeds: Sequence[float] = (0.0,) * len(drives.motors)
-        self._work_j = 0.0
-
-    def add(self) -> None:
-        """Add the work of the last physics step."""
-        drives = self._drives
-        speeds = self._robot.getVelocities(drives.indices).tolist()
-        # The joint speed changes linearly over a step under a constant torque.
-        means = [(before + after) / 2 for before, after in zip(self._speeds, speeds, strict=True)]
-        self._speeds = speeds
-        self._work_j += motor_power_w(drives.motors, means, drives.torques()) * self._timestep_s
-
-    def take_j(self) -> float:
-        """The work [J] since the last call."""
-        work, self._work_j = self._work_j, 0.0
-        return work
+        return (*self._robot.getPositions(self.indices).tolist(), *self.speeds(), *self.torques())

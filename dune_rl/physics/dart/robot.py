@@ -16,101 +16,33 @@ from dune_rl.physics.dart.loading import (
     measure_reach_m,
     split_by_role,
 )
-from dune_rl.physics.dart.motors import (
-    Differential,
-    Drives,
-    Gears,
-    WorkMeter,
-    has_driven_coupling,
-    is_chained,
-)
+from dune_rl.physics.dart.motors import Differential, Drives, Gears, has_driven_coupling, is_chained
 from dune_rl.physics.dart.tyres import FootContacts, TyreBodies
-from dune_rl.physics.robot_body import RobotBody
-from dune_rl.physics.varied_body import BodyVariation, scale_motors, varied_urdf
+from dune_rl.physics.engine_robot import EngineRobot
+from dune_rl.physics.motors import WorkMeter
+from dune_rl.physics.robot_body import BodyVariation, RobotBody, scale_motors
 
 # No robot drives down a slope faster than this.
 _FALL_MPS = 0.5
 
 
-class FloatingBase:
-    """The base link of the skeleton `robot`.
+class DartRobot(EngineRobot):
+    """A `PhysicsRobot`: a skeleton that `load` creates anew, with its tyres, motors, couplings and feet.
 
-    Its state is read at most once between two calls of `mark_moved`.
-    """
-
-    def __init__(self, robot: Any) -> None:
-        self._body, self._joint = robot.getBodyNode(0), robot.getJoint(0)
-        self._state: tuple[list[float], list[float]] | None = None
-
-    def place(self, position_w: Sequence[float], quaternion: Sequence[float]) -> None:
-        """Put the link's origin at `position_w` (3) [m], turned by `quaternion` (4, xyzw)."""
-        x, y, z, w = quaternion
-        self._joint.setTransform(dartpy.math.Isometry3(dartpy.math.Quaternion(w, x, y, z), list(position_w)))
-        self._state = None
-
-    @property
-    def mass_kg(self) -> float:
-        """Mass of the link."""
-        return float(self._body.getMass())
-
-    def mark_moved(self) -> None:
-        """Drop the state that was read before a physics step."""
-        self._state = None
-
-    def planar_motion(self) -> tuple[float, float, float]:
-        """Position x, y [m] of the link's origin, and its speed [m/s] in all three directions."""
-        (_, _, _, x, y, _), (_, _, _, vx, vy, vz) = self._read()
-        return x, y, math.hypot(vx, vy, vz)
-
-    def is_falling(self) -> bool:
-        """Whether the link moves down faster than in any drive down a slope."""
-        return self._read()[1][5] < -_FALL_MPS
-
-    def state(self) -> tuple[float, ...]:
-        """Pose and velocities (13), as in `PhysicsRobot.body_state`."""
-        (rx, ry, rz, px, py, pz), (ax, ay, az, vx, vy, vz) = self._read()
-        angle = math.sqrt(rx * rx + ry * ry + rz * rz)
-        scale = math.sin(angle / 2) / angle if angle > 1e-12 else 0.5
-        return (px, py, pz, scale * rx, scale * ry, scale * rz, math.cos(angle / 2), vx, vy, vz, ax, ay, az)
-
-    def _read(self) -> tuple[list[float], list[float]]:
-        """Positions and velocities (6 each) of the base joint."""
-        state = self._state
-        if state is None:
-            # The joint's getters cost a tenth of the body's, which derives its state from the joint.
-            joint = self._joint
-            self._state = state = joint.getPositions().tolist(), joint.getVelocities().tolist()
-        return state
-
-    def act_force(self, force_w: Sequence[float]) -> None:
-        """Apply a force (3) [N], world frame, on the centre of mass in the next physics step."""
-        # Set again in each step, because the engine keeps a force in the body's frame, which may turn.
-        self._body.setExtForce(force_w, self._body.getLocalCOM(), False, True)
-
-    def clear_force(self) -> None:
-        """Remove the force of `act_force`."""
-        self._body.clearExternalForces()
-
-
-class DartRobot:
-    """A `PhysicsRobot` without its contacts: a skeleton that `load` creates anew.
-
-    So are the objects that act on it: `base`, `tyres`, motors, couplings and the contacts of its feet.
-
-    `terrain_friction` is the ground's coefficient, which holds until other contacts are set.
-    `has_spherical_feet` is whether all collision shapes of ground links are spheres, `has_spherical_hull`
-    whether all others are. For `reach_m` see `GatedRobot`.
+    `terrain_friction` is the ground's coefficient. `has_spherical_feet` is whether all collision shapes of
+    ground links are spheres, `has_spherical_hull` whether all others are. For `reach_m` see `GatedRobot`. The
+    scene sets `use_own_friction`, which makes the coefficients of the ground links decide their friction.
     """
 
     skeleton: Any
-    base: FloatingBase
     tyres: TyreBodies
+    use_own_friction: Callable[[], None]
 
     def __init__(
         self, spec: RobotBody, timestep_s: float, *, measures_work: bool, terrain_friction: float = 1.0
     ) -> None:
-        self.spec, self._timestep_s = spec, timestep_s
-        self._foot_friction = spec.ground_friction * terrain_friction
+        super().__init__(spec)
+        self._timestep_s, self._terrain_friction = timestep_s, terrain_friction
         self._measures_work = measures_work and bool(spec.motors)
         # Ideal motors take a command once a control step; others need the joint states in every physics step.
         self._has_ideal_motors = all(motor.is_ideal for motor in spec.motors) and not has_driven_coupling(
@@ -121,59 +53,49 @@ class DartRobot:
         feet, hull = split_by_role(self._template, spec)
         self.has_spherical_feet, self.has_spherical_hull = has_only_spheres(feet), has_only_spheres(hull)
         self.reach_m = measure_reach_m(self._template, spec.tyres)
-        self._pose: tuple[Sequence[float], Sequence[float]] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-        self._commands: Sequence[float] = spec.rest_commands()
-        self._force: Sequence[float] | None = None
         self._work: WorkMeter | None = None
+        # Positions and velocities (6 each) of the base's joint, read once between physics steps.
+        self._state: tuple[list[float], list[float]] | None = None
         self.skeleton = None
 
     def set_body(self, variation: BodyVariation) -> None:
         self._motors = scale_motors(self.spec.motors, variation.motor_strength)
-        text = None if variation.keeps_masses else varied_urdf(self.spec.urdf, variation)
-        self._template = load_template(replace(self.spec, motors=self._motors), text)
-
-    def set_start_pose(self, position_w: Sequence[float], quaternion: Sequence[float]) -> None:
-        self._pose = (position_w, quaternion)
+        self._template = load_template(replace(self.spec, motors=self._motors), variation)
 
     def load(self) -> Any:
         """Create the skeleton at the start pose, at rest and without tyres, and return it."""
         spec, step_s = self.spec, self._timestep_s
         self.skeleton = robot = self._template.clone()
-        self.base = FloatingBase(robot)
-        self.base.place(*self._pose)
+        self._base, self._base_joint = robot.getBodyNode(0), robot.getJoint(0)
+        position, (x, y, z, w) = self.start_pose
+        turn = dartpy.math.Quaternion(w, x, y, z)
+        self._base_joint.setTransform(dartpy.math.Isometry3(turn, list(position)))
+        self._state = None
         self.tyres = TyreBodies(robot, spec.tyres)
         chained = [coupling for coupling in spec.couplings if is_chained(robot, coupling)]
         geared = [coupling for coupling in spec.couplings if coupling not in chained]
         self._differentials = [Differential(robot, coupling, step_s) for coupling in chained]
-        self._feet = FootContacts(robot, spec, self._foot_friction, step_s)
+        self._feet = FootContacts(robot, spec, spec.ground_friction * self._terrain_friction, step_s)
         self._gears = Gears(robot, geared, spec.drive_joints, step_s) if geared else None
         self._drives = Drives(robot, self._motors, self._gears, step_s, hold_commands=self._has_ideal_motors)
-        self._work = WorkMeter(robot, self._drives, step_s) if self._measures_work else None
-        self._impulse_users = self._find_impulse_users()
-        self._commands, self._force = spec.rest_commands(), None
-        return robot
-
-    def _find_impulse_users(self) -> list[Callable[[Sequence[float]], None]]:
-        """What takes the constraint impulses of all joints after each physics step."""
-        users: list[Callable[[Sequence[float]], None]] = [
-            differential.after for differential in self._differentials
-        ]
+        self._work = WorkMeter(self._motors, step_s) if self._measures_work else None
+        # What takes the constraint impulses of all joints after each physics step.
+        self._impulse_users = [differential.after for differential in self._differentials]
         if self._feet.slip is not None:
-            users.append(self._feet.slip.after)
+            self._impulse_users.append(self._feet.slip.after)
         if self._drives.compensates_load:
-            users.append(self._drives.note_impulses)
-        return users
+            self._impulse_users.append(self._drives.note_impulses)
+        self.forget_episode()
+        return robot
 
     def release(self) -> None:
         """Drop the skeleton; the objects that act on it go with the next `load`."""
         self.skeleton = None
 
-    def set_command(self, commands: Sequence[float]) -> None:
-        self._commands = commands
-
     def begin_step(self, count: int) -> None:
-        """Pass the commands to the motors for the next `count` physics steps."""
-        self._drives.begin_step(self._commands, count)
+        """Forget what was touched, and pass the commands to the motors for `count` physics steps."""
+        self.touched.clear()
+        self._drives.begin_step(self.commands, count)
 
     def before_physics_steps(self) -> list[Callable[[], None]]:
         """What is to be called, in this order, before each physics step of the next control step."""
@@ -192,7 +114,7 @@ class DartRobot:
         if self._impulse_users:
             calls.append(self._pass_impulses)
         if self._work is not None:
-            calls.append(self._work.add)
+            calls.append(self._add_work)
         return calls
 
     def _pass_impulses(self) -> None:
@@ -200,25 +122,61 @@ class DartRobot:
         for use in self._impulse_users:
             use(impulses)
 
-    def apply_force(self, force_w: Sequence[float]) -> None:
-        self._force = force_w if any(force_w) else None
+    def _add_work(self) -> None:
+        if self._work is not None:
+            self._work.add(self._drives.speeds(), self._drives.torques())
 
-    def take_force(self) -> Sequence[float] | None:
-        """The force set by `apply_force` since the last call, which is removed; None if there is none."""
-        force, self._force = self._force, None
-        return force
+    def mark_moved(self) -> None:
+        """Drop the state that was read before a physics step."""
+        self._state = None
+
+    def _read(self) -> tuple[list[float], list[float]]:
+        state = self._state
+        if state is None:
+            # The joint's getters cost a tenth of the body's, which derives its state from the joint.
+            joint = self._base_joint
+            self._state = state = joint.getPositions().tolist(), joint.getVelocities().tolist()
+        return state
+
+    def planar_motion(self) -> tuple[float, float, float]:
+        """Position x, y [m] of the base link's origin, and its speed [m/s] in all three directions."""
+        (_, _, _, x, y, _), (_, _, _, vx, vy, vz) = self._read()
+        return x, y, math.hypot(vx, vy, vz)
+
+    def is_falling(self) -> bool:
+        """Whether the base moves down faster than in any drive down a slope."""
+        return self._read()[1][5] < -_FALL_MPS
+
+    def body_state(self) -> tuple[float, ...]:
+        (rx, ry, rz, px, py, pz), (ax, ay, az, vx, vy, vz) = self._read()
+        angle = math.sqrt(rx * rx + ry * ry + rz * rz)
+        scale = math.sin(angle / 2) / angle if angle > 1e-12 else 0.5
+        return (px, py, pz, scale * rx, scale * ry, scale * rz, math.cos(angle / 2), vx, vy, vz, ax, ay, az)
 
     @property
     def base_mass_kg(self) -> float:
         """Mass of the base link."""
-        return self.base.mass_kg
+        return float(self._base.getMass())
 
-    def planar_motion(self) -> tuple[float, float, float]:
-        """See `GatedRobot`; the position is that of the base link's origin."""
-        return self.base.planar_motion()
+    def act_force(self, force_w: Sequence[float]) -> None:
+        """Apply a force (3) [N], world frame, on the base's centre of mass in the next physics step."""
+        # Set again in each step, because the engine keeps a force in the body's frame, which may turn.
+        self._base.setExtForce(force_w, self._base.getLocalCOM(), False, True)
 
-    def body_state(self) -> tuple[float, ...]:
-        return self.base.state()
+    def clear_force(self) -> None:
+        """Remove the force of `act_force`."""
+        self._base.clearExternalForces()
+
+    def set_wheel_contacts(
+        self,
+        friction: Sequence[float],
+        restitution: Sequence[float],
+        stiffness: Sequence[float] | None = None,
+        damping: Sequence[float] | None = None,
+    ) -> None:
+        self.use_own_friction()
+        coefficients = [coefficient * self._terrain_friction for coefficient in friction]
+        self._feet.set(coefficients, restitution, stiffness, damping)
 
     def drive_state(self) -> tuple[float, ...]:
         return self._drives.state()

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from dune_rl.physics.dart.kinematics import DartKinematics
 from dune_rl.physics.dart.library import dartpy
 from dune_rl.physics.dart.robot import CornerContacts, DartRobot
 from dune_rl.physics.dart.statics import StaticGeometry, load_shared_meshes, terrain_friction
+from dune_rl.physics.engine_robot import take_forces
 from dune_rl.physics.interface import SceneSpec
 
 # Obstacles farther than this from a robot's reach have no collision shapes for its tyres.
@@ -28,8 +30,14 @@ class DartScene:
     def __init__(self, spec: SceneSpec) -> None:
         self._spec = spec
         self._meshes = load_shared_meshes(spec.statics)
-        self.robots = [_SceneRobot(spec, index) for index in range(len(spec.robots))]
+        ground = terrain_friction(spec.statics)
+        self.robots = [
+            DartRobot(robot, spec.timestep_s, measures_work=spec.measures_work, terrain_friction=ground)
+            for robot in spec.robots
+        ]
         self._static_geometry = StaticGeometry(spec.statics, self._meshes, self.robots)
+        for index, robot in enumerate(self.robots):
+            robot.use_own_friction = partial(self._static_geometry.use_foot_friction, index)
         self._gate = ContactGate(spec.statics, spec.kinematics, spec.robots)
         self._tyres = TyreActivation(len(spec.robots))
         self._cone = _cone_solver(spec.solver_iterations) if spec.friction == "cone" else None
@@ -63,8 +71,6 @@ class DartScene:
         self._collision_filter = CollisionFilter(
             self.robots, self._static_geometry, self._kinematics, spec.robot_number(0), self._engine_filter
         )
-        for robot in self.robots:
-            robot.bind(self._static_geometry, self._collision_filter)
         self._checks_corners_each_step = False
         # Physics steps, external forces, and which robots are exposed: what `_advance` takes.
         self._begun: tuple[int, Mapping[int, Sequence[float]], Sequence[bool]] = 0, {}, ()
@@ -80,13 +86,9 @@ class DartScene:
         self._add_corners()
         # A robot that falls on its back penetrates deeply within the physics steps of one control step.
         self._checks_corners_each_step = self._corners.has_boxes_left and any(
-            robot.base.is_falling() for robot in self.robots
+            robot.is_falling() for robot in self.robots
         )
-        forces: dict[int, Sequence[float]] = {}
-        for index, robot in enumerate(self.robots):
-            force = robot.take_force()
-            if force is not None:
-                forces[index] = force
+        forces = take_forces(self.robots)
         duration_s, kinematics = count * self._spec.timestep_s, self._kinematics
         gate = self._gate
         near, exposed = gate.find_contacts(self.robots, duration_s, forces, kinematics.poses, kinematic_poses)
@@ -170,13 +172,13 @@ class DartScene:
         advance = world.step
         before_each = [call for robot in robots for call in robot.before_physics_steps()]
         after_each = [call for robot in robots for call in robot.after_physics_steps()]
-        pushes = [(robots[index].base, force) for index, force in forces.items()]
-        watched = [robot for robot, is_exposed in zip(robots, exposed, strict=False) if is_exposed]
+        pushes = [(robots[index], force) for index, force in forces.items()]
+        watched = [index for index, is_exposed in enumerate(exposed) if is_exposed]
         for robot in robots:
-            robot.base.mark_moved()
+            robot.mark_moved()
         for _ in range(count):
-            for base, force in pushes:
-                base.act_force(force)
+            for robot, force in pushes:
+                robot.act_force(force)
             for before in before_each:
                 before()
             # False: joints keep their commands.
@@ -185,12 +187,12 @@ class DartScene:
                 after()
             if watched:
                 result = world.getLastCollisionResult()
-                for robot in watched:
-                    robot.record_contacts(result)
+                for index in watched:
+                    robots[index].touched |= self._collision_filter.contacts(index, result)
             if self._checks_corners_each_step:
                 self._add_corners()
-        for base, _ in pushes:
-            base.clear_force()
+        for robot, _ in pushes:
+            robot.clear_force()
 
     def _add_corners(self) -> None:
         corners = self._corners
@@ -206,52 +208,6 @@ class DartScene:
         self._world = None
         for robot in self.robots:
             robot.release()
-
-
-class _SceneRobot(DartRobot):
-    """Robot `index` of a scene; the scene binds it to its world after each `load`."""
-
-    def __init__(self, spec: SceneSpec, index: int) -> None:
-        super().__init__(
-            spec.robots[index],
-            spec.timestep_s,
-            measures_work=spec.measures_work,
-            terrain_friction=terrain_friction(spec.statics),
-        )
-        self._index = index
-        self._touched: set[int] = set()
-        self._collision_filter: Any = None
-
-    def bind(self, static_geometry: StaticGeometry, collision_filter: CollisionFilter) -> None:
-        """Set the objects of the scene that contacts depend on."""
-        self._static_geometry, self._collision_filter = static_geometry, collision_filter
-        self._touched.clear()
-
-    def release(self) -> None:
-        super().release()
-        self._collision_filter = None
-
-    def begin_step(self, count: int) -> None:
-        self._touched.clear()
-        super().begin_step(count)
-
-    def set_wheel_contacts(
-        self,
-        friction: Sequence[float],
-        restitution: Sequence[float],
-        stiffness: Sequence[float] | None = None,
-        damping: Sequence[float] | None = None,
-    ) -> None:
-        ground = self._static_geometry.use_foot_friction(self._index)
-        coefficients = [coefficient * ground for coefficient in friction]
-        self._feet.set(coefficients, restitution, stiffness, damping)
-
-    def record_contacts(self, result: Any) -> None:
-        """Add what the robot touches in a collision result to `contacts`."""
-        self._touched.update(self._collision_filter.contacts(self._index, result))
-
-    def contacts(self) -> list[int]:
-        return sorted(self._touched)
 
 
 def _cone_solver(sweeps: int) -> Any:

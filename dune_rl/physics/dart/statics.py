@@ -4,7 +4,6 @@ import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
-from weakref import WeakValueDictionary
 
 from dune_rl.core.errors import PhysicsError
 from dune_rl.geometry.arrays import Array
@@ -17,6 +16,7 @@ from dune_rl.physics.dart.loading import (
     write_meshes,
 )
 from dune_rl.physics.dart.robot import DartRobot
+from dune_rl.physics.process import share_by_identity
 from dune_rl.physics.shapes import StaticBody
 
 # Bullet's collision margin of triangles of an open surface; spheres alone are not affected by it.
@@ -64,7 +64,6 @@ class StaticGeometry:
         self.foot_ground = [self._add_body() for _ in robots]
         self._foot_nodes: list[list[tuple[Any, float]]] = [[] for _ in robots]
         self._robots_with_foot_friction: set[int] = set()
-        self._terrain_friction = terrain_friction(statics)
         hulls = [(robot.spec.hull_friction, _margin_m(robot.has_spherical_hull)) for robot in robots]
         grounds = {hull: self._add_body() for hull in dict.fromkeys(hulls)}
         self.hull_ground = [grounds[hull] for hull in hulls]
@@ -118,16 +117,15 @@ class StaticGeometry:
                 friction = self._statics[number].friction * material.friction
                 self._tyre_numbers[add_shape(body, self._shapes[number], friction)] = number
 
-    def use_foot_friction(self, robot: int) -> float:
+    def use_foot_friction(self, robot: int) -> None:
         """Make the coefficients of a robot's ground links, not the ground's, decide their friction.
 
-        Returns the ground's coefficient, which theirs are to be multiplied with.
+        The links' are to be multiplied with the ground's.
         """
         if robot not in self._robots_with_foot_friction:
             self._robots_with_foot_friction.add(robot)
             for node, _ in self._foot_nodes[robot]:
                 node.getDynamicsAspect().setFrictionCoeff(ROBOT_FRICTION)
-        return self._terrain_friction
 
     def restore_friction(self) -> None:
         """Undo `use_foot_friction` for all robots."""
@@ -167,6 +165,7 @@ class CollisionMeshes:
     """
 
     def __init__(self, statics: tuple[StaticBody, ...]) -> None:
+        # See `share_by_identity`.
         self.statics = statics
         self.detector = dartpy.collision.BulletCollisionDetector()
         self.is_open = [is_open_surface(body) for body in statics]
@@ -195,14 +194,5 @@ class CollisionMeshes:
             return [node.getShape() for node in nodes]
 
 
-# Scenes with the same statics share an entry, which lives as long as one of them. The entry holds the
-# statics, so that no other tuple can get the same id.
-_meshes_by_statics: WeakValueDictionary[int, CollisionMeshes] = WeakValueDictionary()
-
-
-def load_shared_meshes(statics: tuple[StaticBody, ...]) -> CollisionMeshes:
-    """The meshes of `statics`, loaded once for all scenes with the same tuple."""
-    meshes = _meshes_by_statics.get(id(statics))
-    if meshes is None:
-        _meshes_by_statics[id(statics)] = meshes = CollisionMeshes(statics)
-    return meshes
+# The meshes of a tuple of statics, loaded once for all scenes with the same tuple.
+load_shared_meshes = share_by_identity(CollisionMeshes)
