@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from dune_rl.config.compose import compose_view
+from dune_rl.config.commands import ViewConf
+from dune_rl.config.compose import compose
 from dune_rl.env.pictures import Pictures
 from dune_rl.rendering.renderer import Viewpoint
 from dune_rl.reporting.views.episode import EpisodeView
@@ -48,7 +49,7 @@ SHOTS = {
 def draw(name: str, shot: Shot, *, with_still: bool, with_film: bool) -> None:
     """Write the still and the film of a scenario."""
     words = [f"scenario={name}", f"seed={shot.seed}", "sensors=[goal]", "policy=planner", *ROAMING]
-    view = EpisodeView(compose_view(words))
+    view = EpisodeView(compose(ViewConf, words))
     pictures = Pictures(view.simulation)
     ground = view.simulation.worlds.worlds[0].terrain
     eye, target = (

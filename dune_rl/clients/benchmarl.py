@@ -23,7 +23,7 @@ from torchrl.envs import EnvBase, Transform
 
 import dune_rl
 from dune_rl.config.compose import compose_environment
-from dune_rl.config.controller_settings import EXTERNAL
+from dune_rl.config.controllers import EXTERNAL
 from dune_rl.core.errors import ConfigError
 from dune_rl.env.torchrl import EpisodeMetrics
 from dune_rl.learning.collector import environment_seed

@@ -10,11 +10,10 @@ import sys
 import threading
 import warnings
 from argparse import Namespace
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from importlib import import_module
-from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any, NoReturn, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from dune_rl.commands.pages import PAGES, HelpPage, show_help
 from dune_rl.core.errors import ConfigError, DuneError, DuneWarning
@@ -29,18 +28,6 @@ if TYPE_CHECKING:
     from dune_rl.config.schema import EnvConf
 
 _SHOW_WARNING = warnings.showwarning
-
-RawConfig = Mapping[str, Any]
-ConfT = TypeVar("ConfT", bound="EnvConf", covariant=True)
-
-
-class ComposeSettings(Protocol[ConfT]):
-    """Composes a command's settings from overrides, folders of options and the settings of a run."""
-
-    def __call__(
-        self, overrides: Sequence[str], config_dirs: Sequence[str], saved: RawConfig | None
-    ) -> ConfT: ...
-
 
 # Errors of the file system that a user can mend; others are faults of ours.
 _FILE_ERRORS = {
@@ -220,30 +207,11 @@ def config_folders(parsed: Namespace) -> list[str]:
     return [parsed.config_dir] if parsed.config_dir else []
 
 
-def compose_with_checkpoint(
-    parsed: Namespace,
-    compose: ComposeSettings[ConfT],
-    adapt: Callable[[RawConfig], RawConfig] = lambda saved: saved,
-) -> ConfT | None:
-    """The settings of a command that may take `checkpoint=PATH`, which are based on those of its run.
-
-    `adapt` changes the run's settings before the overrides do. With `--cfg` the settings are printed and
-    the result is None: there is no more to do.
-    """
+def print_settings(conf: "EnvConf") -> None:
+    """Print settings as YAML, for `--cfg job`."""
     import yaml
 
-    from dune_rl.config.compose import override_value
-    from dune_rl.learning.checkpoint import read_policy_file
-
-    checkpoint = override_value(parsed.overrides, "checkpoint")
-    saved = None
-    if checkpoint is not None:
-        saved = adapt(read_policy_file(Path(str(checkpoint)))[1]["config"])
-    conf = compose(parsed.overrides, config_folders(parsed), saved)
-    if not parsed.cfg:
-        return conf
     print(yaml.safe_dump(conf.model_dump(mode="json"), sort_keys=False), end="")
-    return None
 
 
 def make_console() -> "Console":

@@ -7,11 +7,9 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import yaml
-
 from dune_rl.commands import command_line
 from dune_rl.config.commands import EvaluateConf
-from dune_rl.config.compose import compose_evaluation, override_value
+from dune_rl.config.compose import compose, override_value
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.paths import unused_folder
 from dune_rl.learning.checkpoint import read_policy_file
@@ -34,7 +32,7 @@ def run(words: Sequence[str]) -> None:
         return
     conf = _compose(parsed)
     if parsed.cfg:
-        print(yaml.safe_dump(conf.model_dump(mode="json"), sort_keys=False), end="")
+        command_line.print_settings(conf)
         return
     if conf.cross_play:
         _cross_play(conf, command_line.config_folders(parsed))
@@ -76,7 +74,7 @@ def _compose(parsed: Namespace) -> EvaluateConf:
     protocol = override_value(overrides, "protocol")
     if protocol is not None:
         check_protocol_overrides(str(protocol), parsed.overrides)
-    conf = compose_evaluation(overrides, command_line.config_folders(parsed), saved)
+    conf = compose(EvaluateConf, overrides, command_line.config_folders(parsed), saved)
     if conf.protocol is not None:
         return settings_of_protocol(conf)
     episodes = conf.episodes

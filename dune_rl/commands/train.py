@@ -22,7 +22,7 @@ from rich.console import Console
 
 from dune_rl.commands import command_line
 from dune_rl.config.commands import ViewConf
-from dune_rl.config.compose import check_sweep, compose, compose_resumed, override_value
+from dune_rl.config.compose import check_sweep, compose, override_value
 from dune_rl.config.group_files import describe_owner
 from dune_rl.config.schema import Conf, EnvConf
 from dune_rl.core import paths
@@ -49,9 +49,9 @@ def run(words: Sequence[str]) -> None:
         _resume(str(source), parsed.overrides, folders)
         return
     if not parsed.multirun:
-        conf = compose(parsed.overrides, folders)
+        conf = compose(Conf, parsed.overrides, folders)
         if parsed.cfg == "job":
-            print(yaml.safe_dump(conf.model_dump(mode="json"), sort_keys=False), end="")
+            command_line.print_settings(conf)
             return
         # Before Hydra writes its own files.
         _check_device(conf)
@@ -94,7 +94,7 @@ def _job(config: DictConfig) -> float | None:
         multiprocessing.set_start_method("spawn", force=True)
     try:
         # Hydra knows neither the shorthands of agent groups nor options that groups name.
-        conf = compose(engine.overrides.task, _folders_of(engine))
+        conf = compose(Conf, engine.overrides.task, _folders_of(engine))
         conf = conf.model_copy(update={"run_dir": engine.runtime.output_dir})
         with _cores_of_a_sweep(conf, engine):
             result = train(conf, words=engine.overrides.task)
@@ -150,7 +150,7 @@ def _resume(source: str, overrides: Sequence[str], folders: Sequence[str]) -> No
     saved = dict(read_checkpoint_file(checkpoint, "checkpoint")["config"])
     if override_value(overrides, "run_dir") is None:
         saved["run_dir"] = str(checkpoint.parent)
-    conf, before = compose_resumed(overrides, folders, saved), compose_resumed((), folders, saved)
+    conf, before = compose(Conf, overrides, folders, saved), compose(Conf, (), folders, saved)
     for group in conf.external_groups:
         setting, start = conf.learning.start_of(group.name)
         if start != before.learning.start_of(group.name)[1]:

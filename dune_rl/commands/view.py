@@ -8,19 +8,22 @@ from rich.console import Console
 
 from dune_rl.commands import command_line
 from dune_rl.config.commands import ViewConf
-from dune_rl.config.compose import compose_view, override_value
+from dune_rl.config.compose import compose, override_value
 from dune_rl.config.saved import upgrade_saved
+from dune_rl.learning.checkpoint import read_policy_file
 
 
 def run(words: Sequence[str]) -> None:
     """Write what the command line says."""
     parsed = command_line.parse_arguments(words)
+    checkpoint = override_value(parsed.overrides, "checkpoint")
+    saved = None if checkpoint is None else read_policy_file(Path(str(checkpoint)))[1]["config"]
     # A map shows no readings, so it needs no sensors beside the policy's.
-    on_map = override_value(parsed.overrides, "view") == "map"
-    conf = command_line.compose_with_checkpoint(
-        parsed, compose_view, (lambda saved: saved) if on_map else _with_all_sensors
-    )
-    if conf is None:
+    if saved is not None and override_value(parsed.overrides, "view") != "map":
+        saved = _with_all_sensors(saved)
+    conf = compose(ViewConf, parsed.overrides, command_line.config_folders(parsed), saved)
+    if parsed.cfg:
+        command_line.print_settings(conf)
         return
     if override_value(parsed.overrides, "sensors") is None:
         conf = _drop_odometry_of_legs(conf)
@@ -31,7 +34,7 @@ def _with_all_sensors(saved: Mapping[str, Any]) -> dict[str, Any]:
     """Settings of a run with all sensors enabled; its policy reads only its own."""
     upgraded = upgrade_saved(saved)
     own = upgraded["sensors"]
-    every = compose_view(["+world=flat", "sensors=all"]).model_dump(mode="json")["sensors"]
+    every = compose(ViewConf, ["+world=flat", "sensors=all"]).model_dump(mode="json")["sensors"]
     outputs = {name: {"outputs": entry["outputs"]} for name, entry in every.items() if "outputs" in entry}
     added = {
         name: {**entry, **own.get(name, {}), **outputs.get(name, {}), "observed": True}

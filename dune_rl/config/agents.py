@@ -13,7 +13,7 @@ from dune_rl.behaviours.registry import BEHAVIOURS, BehaviourSettings
 from dune_rl.bodies.person import PersonConf
 from dune_rl.bodies.registry import BODIES
 from dune_rl.bodies.settings import BodySettings
-from dune_rl.config.controller_settings import (
+from dune_rl.config.controllers import (
     EXTERNAL,
     PATH,
     Controller,

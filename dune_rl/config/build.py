@@ -7,19 +7,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache, partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 from gymnasium.vector import AutoresetMode
 
+from dune_rl.behaviours.destinations import DestinedBehaviour
 from dune_rl.behaviours.paths.follower import PathConf
+from dune_rl.behaviours.registry import BEHAVIOURS, BehaviourSettings
 from dune_rl.bodies.settings import BodySettings
 from dune_rl.config.agents import ResolvedGroup
-from dune_rl.config.controller_settings import PATH, TRAJECTORY, follows_trajectories
-from dune_rl.config.controllers import controller_factory, places_of
-from dune_rl.config.group_files import read_group_files
+from dune_rl.config.controllers import PATH, TRAJECTORY, FrozenPolicyConf, follows_trajectories
+from dune_rl.config.controllers import Controller as ControllerConf
+from dune_rl.config.group_files import describe_owner, read_group_files
 from dune_rl.config.schema import EnvConf, SingleAgentConf
-from dune_rl.env.agent_group import FileTrajectories, GroupSetup
+from dune_rl.core.errors import CheckpointError
+from dune_rl.env.agent_group import AgentGroup, FileTrajectories, GroupSetup, MakeController
 from dune_rl.env.arguments import check_whole
+from dune_rl.env.controllers import BehaviourController, Controller, PolicyController
 from dune_rl.env.curriculum import CurriculumConf
 from dune_rl.env.domain_randomizer import DomainRandomizer
 from dune_rl.env.gymnasium import GymnasiumEnv
@@ -28,10 +34,12 @@ from dune_rl.env.pettingzoo import ParallelDuneEnv
 from dune_rl.env.requests import EpisodePlan
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.env.window import RenderMode
+from dune_rl.geometry.arrays import Array
 from dune_rl.physics.interface import scene_maker
 from dune_rl.robots.registry import ROBOTS
 from dune_rl.robots.robot import Robot
 from dune_rl.robots.settings import RobotSettings
+from dune_rl.sensors.sensor import Reading
 from dune_rl.worlds.actor_trajectory import ActorTrajectory
 from dune_rl.worlds.cache.store import shared_store
 from dune_rl.worlds.settings import WorldSettings
@@ -103,7 +111,7 @@ def group_setups(conf: EnvConf) -> list[GroupSetup]:
             group.name,
             group.count,
             group.body if isinstance(group.body, BodySettings) else partial(build_robot, group.body),
-            controller=controller_factory(group.controller),
+            controller=_controller_factory(group.controller),
             path=_path_of(group, trajectories.get(group.name)),
             is_scripted=group.controller == PATH or follows_trajectories(group.controller),
             sensors=group.sensors,
@@ -111,7 +119,7 @@ def group_setups(conf: EnvConf) -> list[GroupSetup]:
             metrics=group.metrics,
             presence=group.presence,
             settings=conf.path_of(group.name),
-            places=places_of(group.controller),
+            places=_places_of(group.controller),
         )
         for group in conf.groups
     ]
@@ -124,6 +132,69 @@ def _path_of(
     if follows_trajectories(group.controller):
         return FileTrajectories(given)
     return PathConf() if group.path is None and group.controller == PATH else group.path
+
+
+def _controller_factory(conf: ControllerConf) -> MakeController | None:
+    """Factory of a group's controller; None for external groups and groups that walk paths."""
+    if isinstance(conf, BehaviourSettings):
+        return partial(_behaviour, conf)
+    if isinstance(conf, FrozenPolicyConf):
+        return partial(_frozen_policy, conf)
+    return None
+
+
+def _places_of(conf: ControllerConf) -> tuple[tuple[float, float], ...]:
+    """The places [m] to which a controller is told to go; none for most."""
+    part = BEHAVIOURS.find(conf.name) if isinstance(conf, BehaviourSettings) else None
+    goes = part is not None and isinstance(part.target, type) and issubclass(part.target, DestinedBehaviour)
+    return getattr(conf, "places", ()) if goes else ()
+
+
+def _behaviour(conf: BehaviourSettings, group: AgentGroup) -> Controller:
+    behaviour = BEHAVIOURS.build(conf, group.num_rows)
+    group.bind(behaviour, conf.name)
+    return BehaviourController(behaviour)
+
+
+def _frozen_policy(conf: FrozenPolicyConf, group: AgentGroup) -> Controller:
+    """Raises `CheckpointError`, which names the group's setting, where the file has no policy for what the
+    group observes and does.
+    """
+    # Only now: most groups need no PyTorch.
+    import torch
+    from tensordict import TensorDict
+
+    from dune_rl.learning.group_policy import Deterministic
+    from dune_rl.learning.policy_spec import PolicySpec
+    from dune_rl.learning.saved_policies import load_group_policy
+
+    spec = PolicySpec.of_bounds(group.observation_bounds, group.action_bounds)
+    try:
+        found, _ = load_group_policy(
+            Path(conf.checkpoint), group.name, spec, trained_as=conf.group, allow_more=True
+        )
+    except CheckpointError as error:
+        setting = f"{group.setup.settings}.controller.checkpoint"
+        what_to_do = describe_owner(conf.checkpoint, conf.group or group.name, group.setup.settings)
+        # In place of what to do where the robot itself is to be driven by it.
+        lines = [str(error).splitlines()[0], what_to_do] if what_to_do else [str(error)]
+        raise CheckpointError("\n".join([f"{setting}: {lines[0]}", *lines[1:]])) from None
+    policy = Deterministic(found)
+
+    def act(readings: dict[str, Reading]) -> Array:
+        rows = group.num_rows
+        observation = {
+            key: torch.from_numpy(reading).reshape(-1, group.count, *reading.shape[1:])
+            for key, reading in readings.items()
+        }
+        size = (rows // group.count, group.count)
+        inputs = TensorDict({group.name: {"observation": observation}}, batch_size=size[:1])
+        inputs[group.name].batch_size = size
+        inputs[group.name, "observation"].batch_size = size
+        action: torch.Tensor = policy(inputs)[group.name, "action"]
+        return action.reshape(rows, -1).numpy().astype(np.float64)
+
+    return PolicyController(act)
 
 
 def build_robot(conf: RobotSettings, num_robots: int) -> Robot:

@@ -8,44 +8,31 @@ from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from dune_rl.behaviours.registry import BEHAVIOURS, BehaviourSettings
-from dune_rl.bodies.motion import MOTION_MODELS, MotionSettings
+from dune_rl.behaviours.registry import BEHAVIOURS
+from dune_rl.bodies.motion import MOTION_MODELS
 from dune_rl.bodies.registry import BODIES
-from dune_rl.bodies.settings import BodySettings
 from dune_rl.config.shorthands import SHORTHANDS
 from dune_rl.core.errors import ConfigError, DuneError
 from dune_rl.core.registry import Registry
 from dune_rl.core.suggestions import closest
-from dune_rl.env.curriculum import CURRICULA, CurriculumConf
-from dune_rl.learning.networks.registry import ENCODERS, EncoderConf
+from dune_rl.env.curriculum import CURRICULA
+from dune_rl.learning.networks.registry import ENCODERS
 from dune_rl.learning.registry import ALGORITHMS
-from dune_rl.learning.settings import LearningConf
-from dune_rl.metrics.registry import METRICS, MetricTermConf
+from dune_rl.metrics.registry import METRICS
 from dune_rl.robots.registry import ROBOTS
-from dune_rl.robots.settings import RobotSettings
-from dune_rl.sensors.registry import SENSORS, SensorSettings
-from dune_rl.tasks.registry import REWARDS, START_SOURCES, TERMINATIONS, RewardTermConf, TerminationTermConf
-from dune_rl.tasks.spawn import SpawnConf
+from dune_rl.sensors.registry import SENSORS
+from dune_rl.tasks.registry import REWARDS, START_SOURCES, TERMINATIONS
 from dune_rl.worlds.registry import WORLDS
-from dune_rl.worlds.settings import WorldSettings
 
 Model = TypeVar("Model", bound=BaseModel)
 
-# The settings classes that stand for those of a registry's parts.
+# The registry whose parts' settings a settings class stands for.
 _REGISTRIES: Mapping[type[BaseModel], Registry[Any]] = {
-    WorldSettings: WORLDS,
-    RobotSettings: ROBOTS,
-    BodySettings: BODIES,
-    SensorSettings: SENSORS,
-    BehaviourSettings: BEHAVIOURS,
-    LearningConf: ALGORITHMS,
-    EncoderConf: ENCODERS,
-    RewardTermConf: REWARDS,
-    TerminationTermConf: TERMINATIONS,
-    MetricTermConf: METRICS,
-    SpawnConf: START_SOURCES,
-    MotionSettings: MOTION_MODELS,
-    CurriculumConf: CURRICULA,
+    registry.base: registry
+    for registry in (
+        *(WORLDS, ROBOTS, BODIES, SENSORS, BEHAVIOURS, ALGORITHMS, ENCODERS, REWARDS, TERMINATIONS, METRICS),
+        *(START_SOURCES, MOTION_MODELS, CURRICULA),
+    )
 }
 _RANGES = {
     "greater_than_equal": ("ge", "at least"),

@@ -3,28 +3,17 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any, TypeVar, overload
+from typing import Any
 
 from hydra.core.config_loader import ConfigLoader
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
+from typing_extensions import TypeVar
 
+from dune_rl.config import group_options, shorthands
 from dune_rl.config.checks import unique_lines, validate
 from dune_rl.config.commands import BenchmarkConf, EvaluateConf, ViewConf
-from dune_rl.config.group_changes import change_groups, change_saved_groups, name_shorthands
-from dune_rl.config.group_options import (
-    SCENARIO,
-    WORLD_ACTORS,
-    describe_shared_groups,
-    difference,
-    drop_other_options,
-    expand_groups,
-    expand_robots,
-    has_scenario,
-    replace_default_actors,
-)
 from dune_rl.config.hydra_session import (
     WHOLE_SETTINGS,
     compose_config,
@@ -33,78 +22,65 @@ from dune_rl.config.hydra_session import (
     stated_keys,
     to_plain,
 )
-from dune_rl.config.overrides import ParsedOverrides, option_names, parse_overrides, sweep_values
-from dune_rl.config.saved import copy_nested, upgrade_saved
+from dune_rl.config.overrides import SCENARIO, ParsedOverrides, option_names, parse_overrides, sweep_values
+from dune_rl.config.saved import upgrade_saved
 from dune_rl.config.schema import Conf, EnvConf
-from dune_rl.config.shorthands import SHORTHANDS, complete_sections, join_groups, merged
 from dune_rl.core.errors import ConfigError
+from dune_rl.core.settings import copy_nested, merge_nested
 from dune_rl.core.suggestions import one_of
 
-Model = TypeVar("Model", bound=EnvConf)
+Model = TypeVar("Model", bound=EnvConf, default=EnvConf)
 
+# The file of conf/ of each command.
+_FILES: Mapping[type[EnvConf], str] = {
+    Conf: "train",
+    EvaluateConf: "evaluate",
+    ViewConf: "view",
+    BenchmarkConf: "benchmark",
+}
 # Groups of agents are no options, whatever they are called.
 _GROUPS = ("agents", "actors")
 # Of environments made in Python and of benchmarks, unless a scenario or an experiment chooses one.
 _DEFAULT_WORLD = "inspection"
 
 
-def compose(overrides: Sequence[str] = (), config_dirs: Sequence[str] = ()) -> Conf:
-    """The settings of a training run; `ConfigError` names every fault.
-
-    `overrides` are words as on the command line; `config_dirs` are further folders of options.
-    """
-    return _compose(Conf, "train", overrides, config_dirs)
-
-
-def compose_evaluation(
-    overrides: Sequence[str] = (), config_dirs: Sequence[str] = (), saved: Mapping[str, Any] | None = None
-) -> EvaluateConf:
-    """The settings of an evaluation; where `saved` settings of a run are given, overrides change those."""
-    return _compose(EvaluateConf, "evaluate", overrides, config_dirs, saved)
-
-
-def compose_view(
-    overrides: Sequence[str] = (), config_dirs: Sequence[str] = (), saved: Mapping[str, Any] | None = None
-) -> ViewConf:
-    """The settings of a view; where `saved` settings of a run are given, overrides change those."""
-    return _compose(ViewConf, "view", overrides, config_dirs, saved)
-
-
-def compose_benchmark(overrides: Sequence[str] = (), config_dirs: Sequence[str] = ()) -> BenchmarkConf:
-    """The settings of a benchmark, which has a default world."""
-    return _compose(BenchmarkConf, "benchmark", overrides, config_dirs, default_world=_DEFAULT_WORLD)
-
-
-def compose_resumed(overrides: Sequence[str], config_dirs: Sequence[str], saved: Mapping[str, Any]) -> Conf:
-    """The settings of a saved run, changed by the overrides."""
-    return _compose(Conf, "train", overrides, config_dirs, saved)
-
-
-@overload
-def compose_environment(
-    world: str | Mapping[str, Any] | None,
-    overrides: Iterable[str] = (),
-    settings: Mapping[str, Any] | None = None,
-    *,
-    config_dirs: Sequence[str] = (),
-) -> EnvConf: ...
-@overload
-def compose_environment(
-    world: str | Mapping[str, Any] | None,
-    overrides: Iterable[str],
-    settings: Mapping[str, Any] | None,
+def compose(
     model: type[Model],
-    *,
+    overrides: Sequence[str] = (),
     config_dirs: Sequence[str] = (),
-) -> Model: ...
+    saved: Mapping[str, Any] | None = None,
+) -> Model:
+    """The settings of the command whose settings class is `model`; `ConfigError` names every fault.
+
+    `overrides` are words as on the command line; `config_dirs` are further folders of options. Where `saved`
+    settings of a run are given, the overrides change those. A benchmark has a default world.
+    """
+    name = _FILES[model]
+    with hydra_session(config_dirs) as loader:
+        request = parse_overrides(overrides, loader)
+        if model is BenchmarkConf:
+            request = _with_default_world(name, request, loader)
+        swept = [str(o.input_line) for o in (*request.groups, *request.values) if o.is_sweep_override()]
+        if swept:
+            raise ConfigError(f"{swept[0]} has several values; add -m to run them all, or quote the value")
+        config = compose_config(name, request.without_group_changes())
+        if saved is None:
+            return _finish(model, to_plain(config), request, loader)
+        saved = upgrade_saved(saved)
+        if request.has_scenario:
+            saved = _change_saved(saved, name, request)
+        data = _overlay_saved(saved, config, request, model)
+        return _finish(model, data, request, loader, saved_groups=saved["agents"])
+
+
 def compose_environment(
     world: str | Mapping[str, Any] | None,
     overrides: Iterable[str] = (),
     settings: Mapping[str, Any] | None = None,
-    model: type[EnvConf] = EnvConf,
+    model: type[Model] = EnvConf,  # type: ignore[assignment]
     *,
     config_dirs: Sequence[str] = (),
-) -> EnvConf:
+) -> Model:
     """The settings of an environment alone.
 
     In `settings` a string chooses an option of a group (`actors="none"`), and anything else changes values.
@@ -114,7 +90,7 @@ def compose_environment(
         raise ConfigError("overrides and config_dirs are lists of strings; write [...] round the one")
     with hydra_session(config_dirs) as loader:
         words, changes = _words_and_changes(world, overrides, settings or {}, loader)
-        request = _with_world(_DEFAULT_WORLD, "environment", parse_overrides(words, loader), loader)
+        request = _with_default_world("environment", parse_overrides(words, loader), loader)
         data = to_plain(compose_config("environment", request.without_group_changes()))
         return _finish(model, data, request, loader, changes, set_in_python=settings or {})
 
@@ -143,7 +119,7 @@ def _words_and_changes(
             changes[name] = {"enabled": list(value)}
         elif isinstance(value, str):
             words.append(f"{name}={value}")
-        elif name == "actors" and value and isinstance(value, list | tuple) and _are_names(value):
+        elif name == "actors" and isinstance(value, list | tuple) and {*map(type, value)} == {str}:
             words.append(f"actors=[{','.join(value)}]")
         elif isinstance(value, Sequence):
             changes[name] = list(value)
@@ -152,19 +128,12 @@ def _words_and_changes(
     return words, changes
 
 
-def _are_names(values: Sequence[Any]) -> bool:
-    return all(isinstance(each, str) for each in values)
-
-
-def _with_world(world: str, name: str, request: ParsedOverrides, loader: ConfigLoader) -> ParsedOverrides:
-    """The overrides, with a `world` where neither they nor the file `name` choose one."""
-    if (
-        "world" in request.faulty_groups
-        or any(override.key_or_group == "world" for override in request.groups)
-        or "world" in present_groups(name, request)
-    ):
+def _with_default_world(name: str, request: ParsedOverrides, loader: ConfigLoader) -> ParsedOverrides:
+    """The overrides, with a world where neither they nor the file `name` choose one."""
+    chosen = {*request.faulty_groups, *(override.key_or_group for override in request.groups)}
+    if "world" in chosen or "world" in present_groups(name, request):
         return request
-    default = parse_overrides([f"world={world}"], loader)
+    default = parse_overrides([f"world={_DEFAULT_WORLD}"], loader)
     return replace(request, groups=(*default.groups, *request.groups))
 
 
@@ -180,7 +149,7 @@ def check_sweep(overrides: Sequence[str], config_dirs: Sequence[str] = ()) -> li
         for variant in _sweep_variants(request):
             data = to_plain(compose_config("train", variant.without_group_changes()))
             try:
-                _finish(Conf, data, replace(variant, faults=request.faults), loader)
+                _finish(Conf, data, variant, loader)
             except ConfigError as error:
                 faults += str(error).splitlines()
         if faults:
@@ -201,36 +170,6 @@ def override_value(overrides: Sequence[str], key: str) -> Any | None:
     return value
 
 
-def _compose(
-    model: type[Model],
-    name: str,
-    overrides: Sequence[str],
-    config_dirs: Sequence[str],
-    saved: Mapping[str, Any] | None = None,
-    default_world: str | None = None,
-) -> Model:
-    with hydra_session(config_dirs) as loader:
-        request = parse_overrides(overrides, loader)
-        if default_world is not None:
-            request = _with_world(default_world, name, request, loader)
-        swept = [str(o.input_line) for o in (*request.groups, *request.values) if o.is_sweep_override()]
-        if swept:
-            raise ConfigError(f"{swept[0]} has several values; add -m to run them all, or quote the value")
-        config = compose_config(name, request.without_group_changes())
-        if saved is None:
-            return _finish(model, to_plain(config), request, loader)
-        saved = upgrade_saved(saved)
-        if has_scenario(request):
-            saved = _change_saved(saved, name, request)
-        return _finish(
-            model,
-            _overlay_saved(saved, config, request, model),
-            request,
-            loader,
-            saved_groups=saved["agents"],
-        )
-
-
 def _finish(
     model: type[Model],
     data: dict[str, Any],
@@ -248,40 +187,43 @@ def _finish(
     set_in_python = set_in_python or {}
     # What a caller gave in Python stays as it is.
     data, changes = copy_nested(data), copy_nested(changes or {})
-    if has_scenario(request):
+    if request.has_scenario:
         given = set_in_python.get("world")
-        drop_other_options(data, {*request.named_in("world"), *(given if isinstance(given, Mapping) else ())})
-    data = merged(data, {name: value for name, value in changes.items() if name not in _GROUPS})
+        group_options.drop_other_options(
+            data, {*request.named_in("world"), *(given if isinstance(given, Mapping) else ())}
+        )
+    data = merge_nested(data, {name: value for name, value in changes.items() if name not in _GROUPS})
     faults = _request_faults(request, data, loader)
-    change_groups(data, "actors", request, changes)
+    group_options.change_groups(data, "actors", request, changes)
     if changes.get("agents") is not None:
         data["agents"] = changes["agents"]
     faults += _describe_replaced(data, request, set_in_python)
-    faults += expand_robots(data, loader)
+    faults += group_options.expand_robots(data, loader)
     keeps_actors = "actors" in set_in_python or (
         saved_groups is not None and "actors" not in request.chosen()
     )
-    replaced_actors = replace_default_actors(data, keep=keeps_actors)
-    for key in (str(override.key_or_group).split(".") for override in request.group_changes):
-        if key[0] == "actors" and len(key) > 2 and key[1] in replaced_actors:
+    replaced_actors = group_options.replace_default_actors(data, keep=keeps_actors)
+    for key in (str(override.key_or_group) for override in request.group_changes):
+        section, name, *path = key.split(".")
+        if section == "actors" and path and name in replaced_actors:
             faults.append(
-                f"{'.'.join(key)}: the actors of the world's file take the place of {key[1]}; set "
-                f"actors.{WORLD_ACTORS}.{'.'.join(key[2:])}, or choose actors=walkers"
+                f"{key}: the actors of the world's file take the place of {name}; set "
+                f"actors.{group_options.WORLD_ACTORS}.{'.'.join(path)}, or choose actors=walkers"
             )
     try:
-        data, origins = join_groups(data)
+        data, origins = shorthands.join_groups(data)
     except ValueError as error:
         raise ConfigError("\n".join([*faults, str(error)])) from None
     if saved_groups is not None:
-        data["agents"], origins = change_saved_groups(saved_groups, data["agents"], request)
-    change_groups(data, "agents", request, {})
-    faults += expand_groups(data, loader)
+        data["agents"], origins = group_options.change_saved_groups(saved_groups, data["agents"], request)
+    group_options.change_groups(data, "agents", request)
+    faults += group_options.expand_groups(data, loader)
     try:
-        return validate(model, complete_sections(data), faults)
+        return validate(model, shorthands.complete_sections(data), faults)
     except ConfigError as error:
         # Paths are named as they were written.
         written = {} if request.named_in("agents") else origins
-        raise ConfigError(name_shorthands(str(error), written)) from None
+        raise ConfigError(group_options.name_shorthands(str(error), written)) from None
 
 
 def _describe_replaced(
@@ -290,12 +232,12 @@ def _describe_replaced(
     """Faults of shorthands that were set beside what takes their place."""
     overridden = {str(o.key_or_group).split(".")[0] for o in (*request.groups, *request.values)}
     faults = []
-    if data.get("agents") is not None and has_scenario(request):
+    if data.get("agents") is not None and request.has_scenario:
         faults.append(
             f"agents takes the place of the actors of the {SCENARIO}: leave one of the two out, or add "
             "groups with +actors.NAME={...}"
         )
-    for section, replaced in (("agents", SHORTHANDS), ("robots", ("robot",))):
+    for section, replaced in (("agents", shorthands.SHORTHANDS), ("robots", ("robot",))):
         for name in replaced if data.get(section) is not None else ():
             if name in overridden or name in set_in_python:
                 faults.append(f"{section} takes the place of {name}; leave one of them out")
@@ -304,7 +246,7 @@ def _describe_replaced(
 
 def _request_faults(request: ParsedOverrides, data: dict[str, Any], loader: ConfigLoader) -> list[str]:
     """The faults of the overrides. A missing world is one; `data` gets another, to validate the rest."""
-    faults = [*request.faults, *describe_shared_groups(request)]
+    faults = [*request.faults, *group_options.describe_shared_groups(request)]
     world = data.get("world")
     if not isinstance(world, dict) or "name" not in world:
         if not request.faulty_groups & {"world", *WHOLE_SETTINGS}:
@@ -319,11 +261,15 @@ def _change_saved(saved: Mapping[str, Any], name: str, request: ParsedOverrides)
 
     World and actors are those of the overrides.
     """
-    alone = replace(request, groups=tuple(o for o in request.groups if o.key_or_group == SCENARIO), values=())
+    alone = replace(
+        request,
+        groups=tuple(o for o in request.groups if o.key_or_group == SCENARIO),
+        values=(),
+    )
     with_it = to_plain(compose_config(name, alone))
-    changes = difference(to_plain(compose_config(name, replace(alone, groups=()))), with_it)
+    changes = group_options.difference(to_plain(compose_config(name, replace(alone, groups=()))), with_it)
     kept = {key: value for key, value in saved.items() if key != "world"}
-    return merged(kept, {key: value for key, value in changes.items() if key in kept})
+    return merge_nested(kept, {key: value for key, value in changes.items() if key in kept})
 
 
 def _overlay_saved(
@@ -345,22 +291,11 @@ def _overlay_saved(
 
 def _sweep_variants(request: ParsedOverrides) -> Iterator[ParsedOverrides]:
     """The overrides with the first value of each sweep, then with each other value in turn."""
-    everything = (*request.groups, *request.values)
-    singles = {id(o): sweep_values(o) for o in everything}
-
-    def choose(picked: Override | None, index: int) -> ParsedOverrides:
-        def pick(override: Override) -> Override:
-            return singles[id(override)][index if override is picked else 0]
-
-        return ParsedOverrides(
-            groups=tuple(map(pick, request.groups)),
-            values=tuple(map(pick, request.values)),
-            engine=(),
-            faults=(),
-            faulty_groups=request.faulty_groups,
+    values = {id(each): sweep_values(each) for each in (*request.groups, *request.values)}
+    variants = [(0, 0), *((key, index) for key, found in values.items() for index in range(1, len(found)))]
+    for swept, index in variants:
+        groups, settings = (
+            tuple(values[id(each)][index if id(each) == swept else 0] for each in overrides)
+            for overrides in (request.groups, request.values)
         )
-
-    yield choose(None, 0)
-    for override in everything:
-        for index in range(1, len(singles[id(override)])):
-            yield choose(override, index)
+        yield replace(request, groups=groups, values=settings, engine=())

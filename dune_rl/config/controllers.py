@@ -1,80 +1,90 @@
-"""Controllers of agent groups, as they are configured: a behaviour, or a trained policy from a file."""
+"""Controllers of agent groups as they are configured."""
 
-from functools import partial
-from pathlib import Path
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
 
-import numpy as np
+from pydantic import BeforeValidator, Field
 
-from dune_rl.behaviours.destinations import DestinedBehaviour
 from dune_rl.behaviours.registry import BEHAVIOURS, BehaviourSettings
-from dune_rl.config.controller_settings import Controller as ControllerConf
-from dune_rl.config.controller_settings import FrozenPolicyConf
-from dune_rl.config.group_files import describe_owner
-from dune_rl.core.errors import CheckpointError
-from dune_rl.env.agent_group import AgentGroup, MakeController
-from dune_rl.env.controllers import BehaviourController, Controller, PolicyController
-from dune_rl.geometry.arrays import Array
-from dune_rl.sensors.sensor import Reading
+from dune_rl.core.settings import Settings
+from dune_rl.core.suggestions import closest, one_of
+
+EXTERNAL, PATH, TRAJECTORY = "external", "path", "trajectory"
 
 
-def controller_factory(conf: ControllerConf) -> MakeController | None:
-    """Factory of a group's controller; None for external groups and groups that walk paths."""
-    if isinstance(conf, BehaviourSettings):
-        return partial(_behaviour, conf)
-    if isinstance(conf, FrozenPolicyConf):
-        return partial(_frozen_policy, conf)
-    return None
+def _as_list(value: Any) -> Any:
+    return [value] if isinstance(value, str) else value
 
 
-def places_of(conf: ControllerConf) -> tuple[tuple[float, float], ...]:
-    """The places [m] to which a controller is told to go; none for most."""
-    part = BEHAVIOURS.find(conf.name) if isinstance(conf, BehaviourSettings) else None
-    goes = part is not None and isinstance(part.target, type) and issubclass(part.target, DestinedBehaviour)
-    return getattr(conf, "places", ()) if goes else ()
+class FrozenPolicyConf(Settings):
+    """A controller that is a trained policy: a run's folder, or a file of weights.
 
-
-def _behaviour(conf: BehaviourSettings, group: AgentGroup) -> Controller:
-    behaviour = BEHAVIOURS.build(conf, group.num_rows)
-    group.bind(behaviour, conf.name)
-    return BehaviourController(behaviour)
-
-
-def _frozen_policy(conf: FrozenPolicyConf, group: AgentGroup) -> Controller:
-    """Raises `CheckpointError`, which names the group's setting, where the file has no policy for what the
-    group observes and does.
+    `group` is the one whose policy is played, of those that were trained; without it, that of the same name.
     """
-    # Only now: most groups need no PyTorch.
-    import torch
-    from tensordict import TensorDict
 
-    from dune_rl.learning.group_policy import Deterministic
-    from dune_rl.learning.policy_spec import PolicySpec
-    from dune_rl.learning.saved_policies import load_group_policy
+    checkpoint: str = Field(min_length=1)
+    group: str | None = None
 
-    spec = PolicySpec.of_bounds(group.observation_bounds, group.action_bounds)
-    try:
-        found, _ = load_group_policy(
-            Path(conf.checkpoint), group.name, spec, trained_as=conf.group, allow_more=True
+
+class TrajectoryFilesConf(Settings):
+    """A controller that is a trajectory for each agent, from files (.sdf, .csv, .json) in their order."""
+
+    trajectory: Annotated[tuple[str, ...], BeforeValidator(_as_list)] = Field(min_length=1)
+
+
+Controller = (
+    Literal["external", "path", "trajectory"] | FrozenPolicyConf | TrajectoryFilesConf | BehaviourSettings
+)
+
+
+def plain_controller(value: Any) -> Any:
+    """A controller as it is written; `{name: path}` and others without settings of their own as text."""
+    if isinstance(value, Mapping) and value.keys() == {"name"} and isinstance(value["name"], str):
+        return value["name"] if value["name"] in (EXTERNAL, PATH, TRAJECTORY) else value
+    return value
+
+
+def parse_controller(value: Any) -> Any:
+    value = plain_controller(value)
+    if isinstance(value, Settings) or (isinstance(value, str) and value in (EXTERNAL, PATH, TRAJECTORY)):
+        return value
+    if isinstance(value, Mapping) and "checkpoint" in value:
+        return FrozenPolicyConf.model_validate(value)
+    if isinstance(value, Mapping) and TRAJECTORY in value:
+        return TrajectoryFilesConf.model_validate(value)
+    name = value.get("name") if isinstance(value, Mapping) else value
+    if name in (EXTERNAL, PATH, TRAJECTORY):
+        raise ValueError(f"{name} has no settings here: write controller: {name}")
+    if name is None:
+        raise ValueError(
+            "a controller's mapping has a name, {name: BEHAVIOUR, ...}, a checkpoint, {checkpoint: PATH}, or "
+            "a trajectory, {trajectory: FILE}"
         )
-    except CheckpointError as error:
-        setting = f"{group.setup.settings}.controller.checkpoint"
-        what_to_do = describe_owner(conf.checkpoint, conf.group or group.name, group.setup.settings)
-        # In place of what to do where the robot itself is to be driven by it.
-        lines = [str(error).splitlines()[0], what_to_do] if what_to_do else [str(error)]
-        raise CheckpointError("\n".join([f"{setting}: {lines[0]}", *lines[1:]])) from None
-    policy = Deterministic(found)
+    known = [EXTERNAL, PATH, TRAJECTORY, *BEHAVIOURS.names()]
+    if not isinstance(name, str) or name not in known:
+        near = closest(str(name), known)
+        remedy = f"did you mean {near}?" if near else f"choose {one_of(known)}, or {{checkpoint: PATH}}"
+        raise ValueError(f"there is no controller {name!r}; {remedy}")
+    if isinstance(value, str) and BEHAVIOURS.is_loaded(name):
+        settings = BEHAVIOURS.settings_class(name)
+        assert settings is not None, name
+        fields = settings.model_fields.items()
+        needed = [key for key, field in fields if field.is_required() and key != BEHAVIOURS.tag]
+        if needed:
+            raise ValueError(
+                f"{name} needs {' and '.join(needed)}; write controller: {{name: {name}, {needed[0]}: ...}}"
+            )
+    return BEHAVIOURS.parse_settings({"name": value} if isinstance(value, str) else value)
 
-    def act(readings: dict[str, Reading]) -> Array:
-        rows = group.num_rows
-        observation = {
-            key: torch.from_numpy(reading).reshape(-1, group.count, *reading.shape[1:])
-            for key, reading in readings.items()
-        }
-        size = (rows // group.count, group.count)
-        inputs = TensorDict({group.name: {"observation": observation}}, batch_size=size[:1])
-        inputs[group.name].batch_size = size
-        inputs[group.name, "observation"].batch_size = size
-        action: torch.Tensor = policy(inputs)[group.name, "action"]
-        return action.reshape(rows, -1).numpy().astype(np.float64)
 
-    return PolicyController(act)
+def follows_trajectories(controller: Controller) -> bool:
+    """Whether a controller moves its agents on trajectories, of the world's file or of others."""
+    return controller == TRAJECTORY or isinstance(controller, TrajectoryFilesConf)
+
+
+def reads_sensors(controller: Controller) -> bool:
+    """Whether a controller needs its group's observation."""
+    if isinstance(controller, FrozenPolicyConf):
+        return True
+    part = BEHAVIOURS.find(controller.name) if isinstance(controller, BehaviourSettings) else None
+    return part is not None and getattr(part.target, "reads_sensors", False)

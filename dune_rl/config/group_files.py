@@ -7,7 +7,7 @@ from pathlib import Path
 from dune_rl.config.agents import ResolvedGroup
 from dune_rl.config.checks import validate
 from dune_rl.config.compose import compose_environment
-from dune_rl.config.controller_settings import FrozenPolicyConf, TrajectoryFilesConf
+from dune_rl.config.controllers import FrozenPolicyConf, TrajectoryFilesConf
 from dune_rl.config.saved import upgrade_saved
 from dune_rl.config.schema import Conf, EnvConf
 from dune_rl.core.errors import CheckpointError, DuneError, WorldError

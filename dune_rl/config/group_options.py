@@ -1,33 +1,33 @@
 """Options of groups: their names inside of settings, lists of them, and what scenarios and worlds change."""
 
+import re
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from typing import Any
 
 from hydra.core.config_loader import ConfigLoader
+from hydra.core.override_parser.types import Override
 from omegaconf import OmegaConf
 
 from dune_rl.config.agents import PERSON, PRESETS
-from dune_rl.config.controller_settings import TRAJECTORY, plain_controller
-from dune_rl.config.hydra_session import compose_words
-from dune_rl.config.overrides import ParsedOverrides, option_names
-from dune_rl.config.shorthands import merged
-from dune_rl.core.errors import WorldError
+from dune_rl.config.controllers import TRAJECTORY, plain_controller
+from dune_rl.config.hydra_session import compose_words, to_plain
+from dune_rl.config.overrides import SCENARIO, ParsedOverrides, option_names
+from dune_rl.config.shorthands import change_group, is_robot_group
+from dune_rl.core.errors import ConfigError, WorldError
+from dune_rl.core.settings import merge_nested
 from dune_rl.core.suggestions import advise, one_of
 from dune_rl.sensors.conf import complete_entries
 from dune_rl.worlds.registry import WORLDS
 
-SCENARIO = "scenario"
 # The mark, in an option's file, of groups whose place the actors of a world's file take; and their name.
 MARK, WORLD_ACTORS = "unless_in_world", "actor"
 
 
 def _settings_of(group: str, name: str, changes: Mapping[str, Any]) -> dict[str, Any]:
     """The settings of an option with `changes`, but for the name, which need not be that of its file."""
-    settings = OmegaConf.to_container(compose_words(f"{group}/{name}")[group], resolve=True)
-    assert isinstance(settings, dict)
     changed = {key: value for key, value in changes.items() if key != "name"}
-    return merged({str(key): value for key, value in settings.items()}, changed)
+    return merge_nested(to_plain(compose_words(f"{group}/{name}")[group]), changed)
 
 
 def expand_robots(data: dict[str, Any], loader: ConfigLoader) -> list[str]:
@@ -111,11 +111,6 @@ def _expanded(group: Mapping[str, Any], path: str, loader: ConfigLoader, faults:
 # -- scenarios ----------------------------------------------------------------------------------------
 
 
-def has_scenario(request: ParsedOverrides) -> bool:
-    """Whether the overrides choose a scenario."""
-    return any(override.key_or_group == SCENARIO for override in request.groups)
-
-
 def drop_other_options(data: dict[str, Any], named: Iterable[str] = ()) -> None:
     """Leave out what a scenario changes of actors and of a world that others were chosen in place of.
 
@@ -187,10 +182,8 @@ def describe_shared_groups(request: ParsedOverrides) -> list[str]:
 
 def _groups_of(option: str) -> dict[str, Mapping[str, Any]]:
     """The groups of an option of actors."""
-    composed = OmegaConf.to_container(compose_words(f"actors/{option}"), resolve=True)
-    assert isinstance(composed, dict)
-    groups = (composed.get("actors") or {}).items()
-    return {str(name): group for name, group in groups if isinstance(group, Mapping) and _has_body(group)}
+    groups = to_plain(compose_words(f"actors/{option}")).get("actors") or {}
+    return {name: group for name, group in groups.items() if isinstance(group, Mapping) and _has_body(group)}
 
 
 # -- actors of a world's file -------------------------------------------------------------------------
@@ -216,7 +209,7 @@ def replace_default_actors(data: dict[str, Any], *, keep: bool = False) -> list[
         plain = {name: group for name, group in plain.items() if name not in marked}
         default = {"body": {"name": PERSON}, "count": count, "controller": TRAJECTORY}
         own = plain.get(WORLD_ACTORS)
-        plain[WORLD_ACTORS] = merged(default, own) if isinstance(own, Mapping) else default
+        plain[WORLD_ACTORS] = merge_nested(default, own) if isinstance(own, Mapping) else default
     data["actors"] = plain
     return marked if count else []
 
@@ -231,3 +224,83 @@ def _count_in_world(world: Any) -> int:
     with suppress(WorldError, OSError):
         return count_actors(world["path"])
     return 0
+
+
+# -- changes of groups ---------------------------------------------------------------------------------
+
+
+def change_groups(
+    data: dict[str, Any], section: str, request: ParsedOverrides, changes: Mapping[str, Any] | None = None
+) -> None:
+    """Apply overrides of groups and of settings in them to a section of groups, then `changes` of Python."""
+    replacing = (changes or {}).get(section, {})
+    groups = (data.get(section) or {}) if isinstance(replacing, Mapping) else replacing
+    if not isinstance(groups, Mapping):
+        data[section] = groups
+        return
+    groups = dict(groups)
+    keys = [(str(each.key_or_group).split("."), each) for each in request.group_changes]
+    overrides = [(path, each) for (first, *path), each in keys if first == section]
+    for path, each in overrides:
+        try:
+            change_group(groups, path, _value_of(each, data))
+        except ConfigError as error:
+            words = " ".join(str(each.input_line) for _, each in overrides)
+            raise ConfigError(f"{error}; write the whole value, or one of the two: {words}") from None
+    for name, value in replacing.items():
+        change_group(groups, [str(name)], value)
+    if groups:
+        data[section] = groups
+
+
+def _value_of(override: Override, data: Mapping[str, Any]) -> Any:
+    """The value of an override, with interpolations resolved."""
+    value = override.value()
+    if "${" not in str(override.input_line):
+        return value
+    return to_plain(OmegaConf.create({**data, "value_": value}))["value_"]
+
+
+def change_saved_groups(
+    saved: Mapping[str, Any], fresh: Mapping[str, Any], request: ParsedOverrides
+) -> tuple[dict[str, Any], dict[str, str]]:
+    """The agent groups of a run, changed by overrides; `fresh` are those that the overrides compose alone."""
+    chosen = request.chosen()
+    if "agents" in chosen:
+        return dict(fresh), {}
+    source = {True: saved, False: saved}
+    if chosen & {"robot", "robots"}:
+        source[True] = fresh
+    if chosen & {"actors", SCENARIO}:
+        source[False] = fresh
+    robots, actors = (
+        {name: group for name, group in source[of_robots].items() if is_robot_group(group) is of_robots}
+        for of_robots in (True, False)
+    )
+    origins: dict[str, str] = {}
+    if source[True] is saved:
+        for override in request.values:
+            section, *path = str(override.key_or_group).split(".")
+            if section != "robot" or not path:
+                continue
+            if len(robots) > 1:
+                raise ConfigError(
+                    f"{override.input_line}: there are the robots {', '.join(robots)}; write agents.NAME.body"
+                )
+            (name,) = robots
+            change_group(robots, [name, "body", *path], override.value())
+            origins[f"agents.{name}.body"] = "robot"
+    if source[False] is saved:
+        for override in request.group_changes:
+            section, *path = str(override.key_or_group).split(".")
+            if section == "actors":
+                change_group(actors, path, override.value())
+    origins |= {f"agents.{name}": f"actors.{name}" for name in request.named_in("actors")}
+    return {**robots, **actors}, origins
+
+
+def name_shorthands(message: str, origins: Mapping[str, str]) -> str:
+    """An error's message, in which paths in `agents` are those of the shorthands that wrote there."""
+    for path, origin in sorted(origins.items(), key=lambda item: -len(item[0])):
+        message = re.sub(rf"(?<![\w.]){re.escape(path)}(?!\w)", origin, message)
+    return message

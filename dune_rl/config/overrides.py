@@ -13,6 +13,7 @@ from hydra.errors import HydraException
 from dune_rl.config.options import load_user_part
 from dune_rl.core.suggestions import closest, one_of
 
+SCENARIO = "scenario"
 _SENSORS = "sensors"
 # The group of which several options can be chosen at once.
 _SEVERAL = "actors"
@@ -46,6 +47,11 @@ class ParsedOverrides:
     def chosen(self) -> set[str]:
         """The groups of options, and the settings of whole groups, that are chosen."""
         return {str(each.key_or_group) for each in (*self.groups, *self.values)}
+
+    @property
+    def has_scenario(self) -> bool:
+        """Whether a scenario is chosen."""
+        return any(each.key_or_group == SCENARIO for each in self.groups)
 
     def named_in(self, section: str) -> set[str]:
         """The parts of a section that an override changes, such as the groups of `actors`."""

@@ -6,6 +6,7 @@ from typing import Any
 
 from dune_rl.config.agents import SECTIONS
 from dune_rl.config.shorthands import is_robot_group, join_groups, write_agents
+from dune_rl.core.settings import copy_nested
 from dune_rl.sensors.conf import complete_entries
 from dune_rl.tasks.task import TaskConf
 
@@ -77,23 +78,15 @@ def _sensors_by_name(old: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
-def copy_nested(value: Any) -> Any:
-    """Nested mappings and lists, copied as dictionaries and lists."""
-    if isinstance(value, Mapping):
-        return {key: copy_nested(inner) for key, inner in value.items()}
-    return [copy_nested(inner) for inner in value] if isinstance(value, list | tuple) else value
-
-
 def _in_degrees(settings: Any) -> Any:
     """Nested settings, in which every angle `NAME_rad` is `NAME_deg`."""
     if not isinstance(settings, dict):
         return settings
-    return {
-        f"{key.removesuffix('_rad')}_deg" if key.endswith("_rad") else key: _degrees(value)
-        if key.endswith("_rad")
-        else _in_degrees(value)
-        for key, value in settings.items()
-    }
+    found: dict[str, Any] = {}
+    for key, value in settings.items():
+        name = key.removesuffix("_rad")
+        found |= {key: _in_degrees(value)} if name == key else {f"{name}_deg": _degrees(value)}
+    return found
 
 
 def _degrees(value: Any) -> Any:

@@ -1,6 +1,6 @@
 """Every setting there is: one class for training, one for evaluation, both around an environment's."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, SerializeAsAny, ValidationError, model_validator
@@ -9,7 +9,7 @@ from dune_rl.config.agents import PRESETS, SHARED, AgentGroupConf, AgentGroups, 
 from dune_rl.config.checks import describe_faults
 from dune_rl.config.shorthands import write_agents
 from dune_rl.core.settings import Settings
-from dune_rl.core.suggestions import advise, one_of
+from dune_rl.core.suggestions import advise
 from dune_rl.env.randomisation import RandomisationConf
 from dune_rl.learning.registry import ALGORITHMS
 from dune_rl.learning.settings import LearningConf
@@ -147,59 +147,31 @@ class EnvConf(Settings):
         return self
 
     @model_validator(mode="after")
-    def _sensed_groups_exist(self) -> Self:
-        known = [group.name for group in self.groups]
+    def _named_parts_exist(self) -> Self:
+        """Sensors, rewards, controllers and metrics name groups and terminations that are there."""
+        groups = self.groups
+        names = [group.name for group in groups]
         for path, sensors in self._sensing_groups():
             for sensor, conf in sensors.items():
                 for name in getattr(conf, "groups", ()):
-                    if name not in known:
-                        raise ValueError(
-                            f"{path}.{sensor}.groups: there is no group {name!r}; choose {one_of(known)}"
-                        )
-        return self
-
-    @model_validator(mode="after")
-    def _rewarded_groups_exist(self) -> Self:
-        for group in self.groups:
+                    _require(f"{path}.{sensor}.groups", "group", name, names)
+        for group in groups:
+            path = self.path_of(group.name)
             robots = [
-                each.name
-                for each in self.groups
-                if isinstance(each.body, RobotSettings) and each.name != group.name
+                each.name for each in groups if isinstance(each.body, RobotSettings) and each is not group
             ]
             for name, term in () if group.task is None else group.task.rewards.items():
-                unknown = [each for each in getattr(term, "groups", ()) if each not in robots]
-                if term.term in ROBOT_REWARDS and unknown:
-                    raise ValueError(
-                        f"{self.path_of(group.name)}.task.rewards.{name}.groups: there is no other group of "
-                        f"robots {unknown[0]!r}; choose {one_of(robots) if robots else 'none: []'}"
-                    )
-        return self
-
-    @model_validator(mode="after")
-    def _targets_of_behaviours_exist(self) -> Self:
-        known = ["robots", *(group.name for group in self.groups)]
-        for group in self.groups:
+                for other in getattr(term, "groups", ()) if term.term in ROBOT_REWARDS else ():
+                    _require(f"{path}.task.rewards.{name}.groups", "other group of robots", other, robots)
             target = getattr(group.controller, "target", None)
-            if isinstance(target, str) and target not in known:
-                raise ValueError(
-                    f"{self.path_of(group.name)}.controller.target: there is no group {target!r}; "
-                    f"choose {one_of(known)}"
-                )
-        return self
-
-    @model_validator(mode="after")
-    def _measured_terminations_exist(self) -> Self:
-        for group in self.groups:
-            own = () if group.task is None else group.task.terminations
+            if isinstance(target, str):
+                _require(f"{path}.controller.target", "group", target, ["robots", *names])
             # The task may leave out what others have: that is never the end of an episode then.
-            known = sorted({*own, *TERMINATIONS.names(), DIVERGED, *POINT_GOAL_TERMINATIONS})
-            for name, term in () if group.metrics is None else group.metrics.terms.items():
-                ending = getattr(term, "termination", DIVERGED)
-                if ending not in known:
-                    remedy = advise(ending, known)
-                    raise ValueError(
-                        f"metrics.terms.{name}.termination: there is no termination {ending!r}; {remedy}"
-                    )
+            own = () if group.task is None else group.task.terminations
+            endings = sorted({*own, *TERMINATIONS.names(), DIVERGED, *POINT_GOAL_TERMINATIONS})
+            for name, metric in () if group.metrics is None else group.metrics.terms.items():
+                ending = getattr(metric, "termination", DIVERGED)
+                _require(f"metrics.terms.{name}.termination", "termination", ending, endings)
         return self
 
     def _sensing_groups(self) -> list[tuple[str, Sensors]]:
@@ -211,6 +183,12 @@ class EnvConf(Settings):
             elif group.sensors is not None:
                 found[f"{self.path_of(group.name)}.sensors"] = group.sensors
         return list(found.items())
+
+
+def _require(path: str, kind: str, name: str, known: Sequence[str]) -> None:
+    if name not in known:
+        remedy = advise(name, known) if known else "choose none: []"
+        raise ValueError(f"{path}: there is no {kind} {name!r}; {remedy}")
 
 
 class OneGroupConf(EnvConf):

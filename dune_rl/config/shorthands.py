@@ -20,6 +20,7 @@ from dune_rl.config.agents import (
     presets_of,
 )
 from dune_rl.core.errors import ConfigError, DuneError
+from dune_rl.core.settings import merge_nested
 from dune_rl.robots.registry import ROBOTS
 from dune_rl.sensors.conf import default_sensors, parse_sensors, read_entries
 
@@ -48,7 +49,10 @@ def join_groups(data: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, str]
     if not isinstance(actors, Mapping):
         raise ValueError(f"actors must be a section with settings of its own (got {actors!r})")
     if robots is not None and (isinstance(robots, str) or not isinstance(robots, Sequence) or not robots):
-        raise ValueError(f"robots must be a list of at least 1 (got {robots!r})")
+        equal = f"; for equal ones write agents.rover.count={robots}" if isinstance(robots, int) else ""
+        raise ValueError(
+            f"robots must be a list of robots, such as [rover_zero,leo_rover] (got {robots!r}){equal}"
+        )
     sources = {"robot": data.get("robot") or _DEFAULT_ROBOT}
     if robots is not None:
         sources = {f"robots.{number}": robot for number, robot in enumerate(robots)}
@@ -106,7 +110,7 @@ def _completed(group: Any, data: Mapping[str, Any]) -> Any:
             else:
                 shared = parse_section(section, given or {})
             base = _plain(preset_settings(section, str(preset), shared))
-            out[section] = merged(base, {key: value for key, value in changes.items() if key != "name"})
+            out[section] = merge_nested(base, {key: value for key, value in changes.items() if key != "name"})
     if "sensors" in out:
         out["sensors"] = _sensor_entries(out["sensors"])
     return out
@@ -166,7 +170,7 @@ def change_group(groups: dict[str, Any], path: Sequence[str], value: Any) -> Non
         if len(path) == 2 and "name" not in value:
             before = _named(leaf, before, set(value))
         if isinstance(before, Mapping) and not _names_another(value, before):
-            value = merged(before, value)
+            value = merge_nested(before, value)
     settings[leaf] = value
 
 
@@ -183,15 +187,3 @@ def _names_another(value: Mapping[str, Any], before: Mapping[str, Any]) -> bool:
     if "name" in value:
         return bool(value["name"] != before.get("name"))
     return "name" in before and not _NAMELESS.isdisjoint(value)
-
-
-def merged(data: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """`data` with nested `changes`; mappings merge, everything else replaces."""
-    out = dict(data)
-    for name, value in changes.items():
-        inner = out.get(name)
-        if isinstance(value, Mapping) and isinstance(inner, Mapping):
-            out[name] = merged(inner, value)
-        else:
-            out[name] = value
-    return out

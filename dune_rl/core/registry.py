@@ -90,7 +90,7 @@ class Registry(Generic[ProductT]):
     ) -> None:
         self.kind, self.location, self.tag = kind, location, tag
         self.own = dict(own)
-        self._base, self._product, self._form = base, product, form
+        self.base, self._product, self._form = base, product, form
         self._returned = product if returned is None else returned
         self._leading = {"function": function_leading, "class": class_leading}
         self._error, self._warning = error, warning
@@ -262,7 +262,7 @@ class Registry(Generic[ProductT]):
         origin = f"the {self.kind} {name!r} of dune_rl"
         signature = self._signature_of(target, name, origin)
         own = signature.settings_type
-        if own is not None and issubclass(own, self._base):
+        if own is not None and issubclass(own, self.base):
             return RegisteredPart(target, own, signature, origin, is_own=True)
         return self._with_derived_settings(target, name, signature, origin, is_own=True)
 
@@ -273,7 +273,7 @@ class Registry(Generic[ProductT]):
     def _with_derived_settings(
         self, target: Any, name: str, signature: PartSignature, origin: str, *, is_own: bool
     ) -> RegisteredPart:
-        bases = (DerivedSettings, self._base)
+        bases = (DerivedSettings, self.base)
         settings: Any = derive_settings(signature, name, self.tag, bases, origin, self._error)
         part = RegisteredPart(target, settings, signature, origin, is_own)
         settings._part, settings._registry = part, self
@@ -286,7 +286,7 @@ class Registry(Generic[ProductT]):
             origin,
             form=self._form,
             leading=self._leading,
-            reserved={self.tag, *self._base.model_fields},
+            reserved={self.tag, *self.base.model_fields},
             tag=self.tag,
             product=self._returned,
             error=self._error,

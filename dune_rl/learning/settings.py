@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from dune_rl.core.settings import Settings
+from dune_rl.core.settings import Settings, merge_nested
 from dune_rl.env.curriculum import CurriculumSettings
 
 Width = Annotated[int, Field(ge=1, le=8192)]
@@ -130,7 +130,7 @@ class LearningConf(Settings):
     def changes_of(self, group: str) -> dict[str, Any]:
         """All settings of the learner of `group`, as plain data, which need not be valid."""
         changes = {name: value for name, value in self.groups.get(group, {}).items() if name != FROZEN}
-        return {**_merged(self.model_dump(), changes), "groups": {}}
+        return {**merge_nested(self.model_dump(), changes), "groups": {}}
 
     def of_group(self, group: str) -> Self:
         """The settings of the learner of `group`; raises pydantic's ValidationError for invalid ones."""
@@ -148,13 +148,3 @@ class LearningConf(Settings):
     def notes_on_resuming(self, saved: Mapping[str, Any], device: str) -> list[str]:
         """What to tell the user of a run that was `saved` with other settings, or does not suit `device`."""
         return []
-
-
-def _merged(settings: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """`settings` with nested `changes`."""
-    out = dict(settings)
-    for name, value in changes.items():
-        inner = out.get(name)
-        both = isinstance(inner, Mapping) and isinstance(value, Mapping)
-        out[name] = _merged(inner, value) if both else value  # type: ignore[arg-type]
-    return out

@@ -7,7 +7,8 @@ from typing import Any
 import pytest
 import yaml
 
-from dune_rl.config.compose import compose, compose_resumed
+from dune_rl.config.compose import compose
+from dune_rl.config.schema import Conf
 from dune_rl.learning.checkpoint import read_checkpoint_file
 
 STUDY = Path(__file__).parents[2] / "experiments" / "actors"
@@ -43,12 +44,12 @@ def test_a_policy_was_trained_with_the_settings_of_its_command(
     monkeypatch.chdir(STUDY.parents[1])
     words = [word.replace("_1", f"_{seed}") for word in train_words()[name]]
     words = [f"seed={seed}" if word == "seed=1" else word for word in words]
-    expected = compose(words).model_dump(mode="json")
+    expected = compose(Conf, words).model_dump(mode="json")
     saved: dict[str, Any] = yaml.safe_load((STUDY / f"{name}_{seed}" / "config.yaml").read_text())
     used = read_checkpoint_file(STUDY / f"{name}_{seed}" / "policy.pt", "policy")["config"]
     for config in (saved, used):
         # Settings that came later are at their defaults.
-        found = compose_resumed([], (), config).model_dump(mode="json")
+        found = compose(Conf, [], (), config).model_dump(mode="json")
         # `auto` is stored as what it was.
         assert found["learning"].pop("precision") in ("float32", "bfloat16")
         learning = {key: value for key, value in expected["learning"].items() if key != "precision"}

@@ -8,9 +8,10 @@ import pytest
 from dune_rl.behaviours.paths.follower import PathConf
 from dune_rl.bodies.person import PersonConf
 from dune_rl.config.agents import ResolvedGroup, walker_sensors
-from dune_rl.config.compose import compose, compose_environment, compose_evaluation
-from dune_rl.config.controller_settings import FrozenPolicyConf
-from dune_rl.config.schema import EnvConf, SingleAgentConf
+from dune_rl.config.commands import EvaluateConf
+from dune_rl.config.compose import compose, compose_environment
+from dune_rl.config.controllers import FrozenPolicyConf
+from dune_rl.config.schema import Conf, EnvConf, SingleAgentConf
 from dune_rl.core.errors import ConfigError
 from dune_rl.metrics.episode import MetricsConf
 from dune_rl.robots.leo_rover import LeoRoverConf
@@ -161,18 +162,18 @@ def test_sections_of_a_group_without_a_name_change_what_it_has_otherwise() -> No
         "progress": 3.0,
         "near_miss": -0.1,
     }
-    again = compose_evaluation(["policy=random"], (), conf.model_dump(mode="json"))
+    again = compose(EvaluateConf, ["policy=random"], (), conf.model_dump(mode="json"))
     assert again.groups == conf.groups
 
 
 def test_settings_of_a_run_with_groups_stay() -> None:
     words = [TEAM, "agents.rover.task={name: paper, rewards: {heading: null}}"]
     saved = compose_environment("flat", words).model_dump(mode="json")
-    again = compose_evaluation(["policy=random"], (), saved)
+    again = compose(EvaluateConf, ["policy=random"], (), saved)
     assert again.groups == compose_environment("flat", words).groups
-    changed = compose_evaluation(["policy=random", "agents.walker.count=1"], (), saved)
+    changed = compose(EvaluateConf, ["policy=random", "agents.walker.count=1"], (), saved)
     assert [group.count for group in changed.groups] == [3, 1]
-    other = compose_evaluation(["policy=random", "agents={rover: {body: leo_rover}}"], (), saved)
+    other = compose(EvaluateConf, ["policy=random", "agents={rover: {body: leo_rover}}"], (), saved)
     assert [group.name for group in other.groups] == ["rover"]
 
 
@@ -257,10 +258,12 @@ def test_groups_take_the_place_of_the_shorthands() -> None:
 
 
 def test_all_groups_are_trained_and_gymnasium_has_one_agent() -> None:
-    assert compose(["+world=flat", TEAM]).driven_group.name == "rover"
-    both = compose(["+world=flat", "robots=[rover_zero,leo_rover]", "learning.groups.rover.frozen=runs/a"])
+    assert compose(Conf, ["+world=flat", TEAM]).driven_group.name == "rover"
+    both = compose(
+        Conf, ["+world=flat", "robots=[rover_zero,leo_rover]", "learning.groups.rover.frozen=runs/a"]
+    )
     assert both.driven_group.name == "leo_rover"
-    several = compose(["+world=flat", "+experiment=multi_agent"])
+    several = compose(Conf, ["+world=flat", "+experiment=multi_agent"])
     assert [group.name for group in several.external_groups] == ["rover", "walker"]
     assert several.learning.of_group("walker").hidden == (128, 128)
     assert several.learning.of_group("rover") is several.learning

@@ -13,11 +13,7 @@ from dune_rl.bodies.person import ChildConf, PersonConf
 from dune_rl.bodies.vehicles import CarConf, TractorConf, TruckConf
 from dune_rl.config.agents import AgentGroupConf, roaming_task, walker_sensors
 from dune_rl.config.commands import EvaluateConf
-from dune_rl.config.compose import (
-    compose,
-    compose_environment,
-    compose_evaluation,
-)
+from dune_rl.config.compose import compose, compose_environment
 from dune_rl.config.group_options import MARK
 from dune_rl.config.hydra_session import WHOLE_SETTINGS
 from dune_rl.config.schema import Conf, EnvConf
@@ -342,7 +338,7 @@ def place(group: str) -> str:
 @pytest.mark.parametrize(("group", "option"), OPTIONS)
 def test_hydra_and_plain_objects_agree(group: str, option: str) -> None:
     if group == "learning":
-        composed: EnvConf = compose(words(group, option))
+        composed: EnvConf = compose(Conf, words(group, option))
     else:
         words_given = [f"{group}.path={GIVEN}"] if hasattr(PLAIN[group, option], "path") else []
         composed = compose_environment(
@@ -404,8 +400,8 @@ def test_every_yaml_line_with_a_first_use_is_explained() -> None:
 
 
 def test_root_settings_agree() -> None:
-    composed = compose(["+world=flat"])
+    composed = compose(Conf, ["+world=flat"])
     plain = Conf(world=FlatConf(), actors={"walker": WALKERS}, run_dir=composed.run_dir)
     assert composed == plain
-    evaluation = compose_evaluation(["+world=flat", "policy=random"])
+    evaluation = compose(EvaluateConf, ["+world=flat", "policy=random"])
     assert evaluation == EvaluateConf(world=FlatConf(), actors={"walker": WALKERS}, policy="random")

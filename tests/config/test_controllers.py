@@ -9,6 +9,7 @@ import torch
 from dune_rl.config.build import make_simulation
 from dune_rl.config.compose import compose, compose_environment
 from dune_rl.config.group_files import check_group_files, describe_owner, read_group_files
+from dune_rl.config.schema import Conf
 from dune_rl.core.errors import CheckpointError, WorldError
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.learning.checkpoint import VERSION, read_checkpoint_file
@@ -78,15 +79,15 @@ def test_policies_that_are_not_there_are_named_at_once(tmp_path: Path) -> None:
         f"+actors.foe={{body: person, controller: {{checkpoint: {tmp_path / 'b.pt'}}}}}",
     ]
     with pytest.raises(CheckpointError) as error:
-        check_group_files(compose(words))
+        check_group_files(compose(Conf, words))
     said = [line for line in str(error.value).splitlines() if "There is no" in line]
     assert said == [
         f"agents.foe.controller.checkpoint: There is no {tmp_path / 'b.pt'}.",
         f"learning.start_from: There is no {tmp_path / 'c.pt'}.",
         f"learning.groups.walker.frozen: There is no {tmp_path / 'a.pt'}.",
     ]
-    check_group_files(compose(["+world=flat", "+experiment=multi_agent"]))
-    check_group_files(compose(["+world=flat", f"actors.walker.controller={{checkpoint: {POLICY}}}"]))
+    check_group_files(compose(Conf, ["+world=flat", "+experiment=multi_agent"]))
+    check_group_files(compose(Conf, ["+world=flat", f"actors.walker.controller={{checkpoint: {POLICY}}}"]))
 
 
 @pytest.mark.slow
@@ -192,19 +193,19 @@ def test_a_controller_without_settings_may_be_written_as_a_mapping(name: str) ->
 def test_a_policy_of_the_robot_is_no_start_for_its_walkers() -> None:
     words = ["+world=flat", "+experiment=multi_agent", f"learning.start_from={POLICY}"]
     with pytest.raises(CheckpointError) as error:
-        check_group_files(compose(words))
+        check_group_files(compose(Conf, words))
     assert str(error.value).splitlines() == [
         f"learning.start_from: {POLICY} has no policy for the group walker, but for rover.",
         "Begin with random weights by learning.groups.walker.start_from=null, or with another run by "
         "learning.groups.walker.start_from=RUN.",
     ]
-    check_group_files(compose([*words, "learning.groups.walker.start_from=null"]))
-    check_group_files(compose([*words, f"learning.groups.walker.frozen={POLICY}"]))
+    check_group_files(compose(Conf, [*words, "learning.groups.walker.start_from=null"]))
+    check_group_files(compose(Conf, [*words, f"learning.groups.walker.frozen={POLICY}"]))
 
 
 def test_who_is_resumed_needs_no_file_that_it_began_with(tmp_path: Path) -> None:
     """The run has weights of its own, and its settings still say where it started."""
-    conf = compose(["+world=flat", "actors=none", f"learning.start_from={tmp_path / 'gone'}"])
+    conf = compose(Conf, ["+world=flat", "actors=none", f"learning.start_from={tmp_path / 'gone'}"])
     with pytest.raises(CheckpointError, match=r"^learning\.start_from: There is no"):
         check_group_files(conf)
     assert read_group_files(conf) == {}

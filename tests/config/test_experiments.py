@@ -8,7 +8,8 @@ import pytest
 import torch
 
 from dune_rl.config.build import make_learning_env
-from dune_rl.config.compose import compose_evaluation
+from dune_rl.config.commands import EvaluateConf
+from dune_rl.config.compose import compose
 from dune_rl.learning.checkpoint import read_checkpoint_file
 from dune_rl.learning.evaluation import evaluate
 from dune_rl.learning.saved_policies import load_policy
@@ -29,7 +30,7 @@ DRIVING = [
 @pytest.mark.slow(all_but=["flat/seed1"])
 @pytest.mark.parametrize("file", DRIVING, ids=lambda file: str(file.parent.relative_to(EXPERIMENTS)))
 def test_the_weights_of_a_study_still_drive(file: Path) -> None:
-    conf = compose_evaluation([f"checkpoint={file}"], [], read_checkpoint_file(file, "policy")["config"])
+    conf = compose(EvaluateConf, [f"checkpoint={file}"], [], read_checkpoint_file(file, "policy")["config"])
     env = make_learning_env(conf, 8, seed=3)
     policy, _ = load_policy(file, env)
     rows = evaluate(policy, env, 8, seed=3)["rover"]

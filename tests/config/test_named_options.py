@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from dune_rl.config.compose import check_sweep, compose, compose_environment, compose_resumed
+from dune_rl.config.compose import check_sweep, compose, compose_environment
+from dune_rl.config.schema import Conf
 from dune_rl.core.errors import ConfigError
 from dune_rl.sensors.conf import observed_names
 
@@ -13,7 +14,7 @@ WEIGHT = "actors.walker.task.rewards.blocking.weight=0.5"
 
 
 def weights(words: list[str], config_dirs: tuple[str, ...] = ()) -> dict[str, float]:
-    task = compose(words, config_dirs).groups[-1].task
+    task = compose(Conf, words, config_dirs).groups[-1].task
     assert task is not None
     return {name: term.weight for name, term in task.rewards.items()}
 
@@ -45,7 +46,7 @@ def test_a_weight_changes_the_task_that_a_file_of_the_user_names(tmp_path: Path)
 
 def test_a_setting_of_sensors_changes_those_that_are_named_beside_it() -> None:
     words = ["actors.walker.sensors=adversary", "actors.walker.sensors.neighbours.range_m=9"]
-    before, after = (compose([*LEARNING, *each]).groups[-1].sensors for each in (words[:1], words))
+    before, after = (compose(Conf, [*LEARNING, *each]).groups[-1].sensors for each in (words[:1], words))
     assert before is not None and after is not None
     assert list(after) == list(before)
     found = after["neighbours"].model_dump()
@@ -56,7 +57,7 @@ def test_a_setting_of_sensors_changes_those_that_are_named_beside_it() -> None:
 def test_another_body_keeps_nothing_of_the_one_before() -> None:
     words = ["+world=flat", "actors.walker.body=cow"]
     plain, changed = (
-        compose([*words, *each]).groups[-1].body.model_dump()
+        compose(Conf, [*words, *each]).groups[-1].body.model_dump()
         for each in ([], ["actors.walker.body.max_slope_deg=20"])
     )
     assert changed == plain | {"max_slope_deg": 20.0}
@@ -65,9 +66,9 @@ def test_another_body_keeps_nothing_of_the_one_before() -> None:
 def test_a_group_of_agents_may_name_its_body_and_change_it() -> None:
     words = ["+world=flat", "agents={rover: {body: leo_rover}}", "agents.rover.body.looks=figure"]
     with pytest.raises(ConfigError, match=r"agents\.rover\.body\.looks"):
-        compose(words)
+        compose(Conf, words)
     sensors = ["agents.rover.sensors=default", "agents.rover.sensors.lidar.n_beams=64"]
-    found = compose([*words[:2], *sensors]).groups[0]
+    found = compose(Conf, [*words[:2], *sensors]).groups[0]
     assert found.body.name == "leo_rover" and found.sensors is not None
     assert found.sensors["lidar"].n_beams == 64
 
@@ -76,7 +77,7 @@ def test_a_group_of_agents_may_name_its_body_and_change_it() -> None:
 def test_a_behaviour_is_changed_where_it_is_named(order: int) -> None:
     name, reaction = "actors.walker.controller=social_force", "actors.walker.controller.reaction=curious"
     plain, changed = (
-        compose(["+world=flat", *words]).model_dump()["agents"]["walker"]["controller"]
+        compose(Conf, ["+world=flat", *words]).model_dump()["agents"]["walker"]["controller"]
         for words in ([name], [name, reaction][::order])
     )
     assert plain["name"] == "social_force" and plain["reaction"] != "curious"
@@ -89,7 +90,7 @@ def test_a_policy_takes_the_place_of_a_behaviour() -> None:
         "actors.walker.controller.checkpoint=FILE",
         "actors.walker.controller.group=walker",
     ]
-    controller = compose(words).model_dump()["agents"]["walker"]["controller"]
+    controller = compose(Conf, words).model_dump()["agents"]["walker"]["controller"]
     assert controller == {"checkpoint": "FILE", "group": "walker"}
 
 
@@ -112,15 +113,15 @@ def test_settings_in_python_change_the_option_that_the_actors_name() -> None:
 
 
 def test_a_saved_task_is_changed_where_it_is() -> None:
-    saved = compose([*LEARNING, "actors.walker.task=adversarial"]).model_dump(mode="json")
-    task = compose_resumed([WEIGHT], (), saved).groups[-1].task
+    saved = compose(Conf, [*LEARNING, "actors.walker.task=adversarial"]).model_dump(mode="json")
+    task = compose(Conf, [WEIGHT], (), saved).groups[-1].task
     assert task is not None
     assert task.rewards["blocking"].weight == 0.5 and "hit_by_robot" in task.rewards
 
 
 def test_a_list_of_sensors_is_changed_beside_it() -> None:
     words = ["actors.walker.sensors=[goal,neighbours]", "actors.walker.sensors.neighbours.number=2"]
-    sensors = compose([*LEARNING, *words]).groups[-1].sensors
+    sensors = compose(Conf, [*LEARNING, *words]).groups[-1].sensors
     assert sensors is not None and observed_names(sensors) == ["goal", "neighbours"]
     assert sensors["neighbours"].model_dump()["number"] == 2
 
@@ -144,13 +145,13 @@ def test_a_list_of_sensors_is_changed_beside_it() -> None:
 )
 def test_what_is_no_option_is_told_beside_a_change(words: list[str], told: str) -> None:
     with pytest.raises(ConfigError, match=told):
-        compose([*LEARNING, *words])
+        compose(Conf, [*LEARNING, *words])
 
 
 def test_a_training_in_which_no_episode_ends_is_refused() -> None:
     foe = "body: person, path: {}, controller: external, sensors: adversary, task: adversarial"
     words = ["+world=flat", f"agents={{foe: {{{foe}}}}}"]
     with pytest.raises(ConfigError, match=r"^agents\.foe\.task\.terminations: no episode ends") as error:
-        compose(words)
+        compose(Conf, words)
     remedy = str(error.value).split("'")[1]
-    assert compose([*words, remedy]).groups[0].task is not None
+    assert compose(Conf, [*words, remedy]).groups[0].task is not None

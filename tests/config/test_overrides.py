@@ -7,14 +7,9 @@ import pytest
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 
-from dune_rl.config.compose import (
-    check_sweep,
-    compose,
-    compose_environment,
-    compose_evaluation,
-    compose_resumed,
-)
-from dune_rl.config.schema import EnvConf
+from dune_rl.config.commands import EvaluateConf
+from dune_rl.config.compose import check_sweep, compose, compose_environment
+from dune_rl.config.schema import Conf, EnvConf
 from dune_rl.core import paths
 from dune_rl.core.errors import ConfigError
 from dune_rl.worlds.flat import FlatConf
@@ -29,16 +24,16 @@ NO_MOON = f"there is no world 'moon'; choose {WORLDS}"
 @pytest.mark.slow(all_but=["quick"])
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
 def test_experiments_compose_and_give_way(experiment: str) -> None:
-    assert compose([f"+experiment={experiment}", "seed=7"]).seed == 7
+    assert compose(Conf, [f"+experiment={experiment}", "seed=7"]).seed == 7
     for world in ("world=inspection", "+world=inspection"):
-        assert compose([f"+experiment={experiment}", world]).world.name == "inspection"
+        assert compose(Conf, [f"+experiment={experiment}", world]).world.name == "inspection"
 
 
 @pytest.mark.parametrize("seed", ["seed=3", "+seed=3", "++seed=3"])
 @pytest.mark.parametrize("world", ["world=flat", "+world=flat"])
 @pytest.mark.parametrize("actors", ["actors=none", "+actors=none"])
 def test_the_plus_makes_no_difference(world: str, actors: str, seed: str) -> None:
-    conf = compose([world, actors, seed])
+    conf = compose(Conf, [world, actors, seed])
     assert (conf.world.name, conf.actors, conf.seed) == ("flat", {}, 3)
 
 
@@ -127,13 +122,16 @@ def test_the_plus_makes_no_difference(world: str, actors: str, seed: str) -> Non
 )  # fmt: skip
 def test_bad_overrides(overrides: list[str], message: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        compose(overrides)
+        compose(Conf, overrides)
     assert str(caught.value) == message
 
 
 def test_faults_come_together() -> None:
     with pytest.raises(ConfigError) as caught:
-        compose(["world=moon", "seed=-1", "blah", "+sensors.lidar.n_beam=5", "actors.walker.body.radius_m=0"])
+        compose(
+            Conf,
+            ["world=moon", "seed=-1", "blah", "+sensors.lidar.n_beam=5", "actors.walker.body.radius_m=0"],
+        )
     assert sorted(str(caught.value).splitlines()) == [
         "actors.walker.body.radius_m must be above 0.0 (got 0)",
         "cannot read 'blah'; write key=value",
@@ -156,7 +154,8 @@ def test_a_sweep_is_checked_in_every_value() -> None:
 
 def test_environment_settings_reach_what_the_command_line_reaches() -> None:
     by_words = compose(
-        ["+world=flat", "actors=none", "task.terminations.time_limit.max_steps=100", "world.friction=0.5"]
+        Conf,
+        ["+world=flat", "actors=none", "task.terminations.time_limit.max_steps=100", "world.friction=0.5"],
     )
     by_settings = compose_environment(
         {"name": "flat", "friction": 0.5},
@@ -183,23 +182,23 @@ def test_environment_settings_share_the_messages() -> None:
 
 
 def test_saved_settings_stay_unless_asked() -> None:
-    saved = compose(["+world=inspection", "actors=none", "seed=5", "learning.tau=0.1"]).model_dump(
+    saved = compose(Conf, ["+world=inspection", "actors=none", "seed=5", "learning.tau=0.1"]).model_dump(
         mode="json"
     )
-    resumed = compose_resumed(["total_frames=9"], (), saved)
+    resumed = compose(Conf, ["total_frames=9"], (), saved)
     assert (resumed.world.name, resumed.actors, resumed.seed) == ("inspection", {}, 5)
     assert (resumed.learning.tau, resumed.total_frames) == (0.1, 9)
 
-    same = compose_evaluation(["checkpoint=x"], (), saved)
+    same = compose(EvaluateConf, ["checkpoint=x"], (), saved)
     assert (same.world.name, same.actors, same.seed) == ("inspection", {}, 0)
-    other = compose_evaluation(["checkpoint=x", "+world=flat", "physics.control_hz=10"], (), saved)
+    other = compose(EvaluateConf, ["checkpoint=x", "+world=flat", "physics.control_hz=10"], (), saved)
     assert (other.world, other.actors, other.physics.control_hz) == (FlatConf(), {}, 10)
 
 
 def test_saved_settings_share_the_messages() -> None:
-    saved = compose(["+world=flat"]).model_dump(mode="json")
+    saved = compose(Conf, ["+world=flat"]).model_dump(mode="json")
     with pytest.raises(ConfigError) as caught:
-        compose_resumed(["total_frames=0", "lerning.tau=1"], (), saved)
+        compose(Conf, ["total_frames=0", "lerning.tau=1"], (), saved)
     assert str(caught.value).splitlines() == [
         "total_frames must be at least 1 (got 0)",
         "lerning is not a setting; did you mean learning?",
@@ -208,25 +207,25 @@ def test_saved_settings_share_the_messages() -> None:
 
 def test_an_evaluation_has_one_policy_or_several() -> None:
     with pytest.raises(ConfigError, match="choose a policy: checkpoint=PATH, or policy=NAME with go_to_goal"):
-        compose_evaluation(["+world=flat"])
-    conf = compose_evaluation(["+world=flat", "policy=[random,a:b]", "checkpoint=x", "against=go_to_goal"])
+        compose(EvaluateConf, ["+world=flat"])
+    conf = compose(EvaluateConf, ["+world=flat", "policy=[random,a:b]", "checkpoint=x", "against=go_to_goal"])
     assert (conf.checkpoint, conf.policy, conf.against) == (("x",), ("random", "a:b"), ("go_to_goal",))
 
 
 def test_own_folders_add_options(tmp_path: Path) -> None:
     (tmp_path / "world").mkdir()
     (tmp_path / "world" / "icy.yaml").write_text("name: flat\nfriction: 0.1\n")
-    assert compose(["+world=icy"], [str(tmp_path)]).world == FlatConf(friction=0.1)
+    assert compose(Conf, ["+world=icy"], [str(tmp_path)]).world == FlatConf(friction=0.1)
     with pytest.raises(ConfigError, match="there is no world 'icy'"):
-        compose(["+world=icy"])
+        compose(Conf, ["+world=icy"])
     with pytest.raises(ConfigError, match=r"there is no folder .*absent to read"):
-        compose(["+world=icy"], [str(tmp_path / "absent")])
+        compose(Conf, ["+world=icy"], [str(tmp_path / "absent")])
 
 
 def test_composing_leaves_a_callers_hydra_alone() -> None:
     with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
         before = GlobalHydra.instance().hydra
-        compose(["+world=flat"])
+        compose(Conf, ["+world=flat"])
         assert before is not None
         assert GlobalHydra.instance().is_initialized()
         assert hydra.compose("train", ["+world=flat"]).world.name == "flat"
@@ -238,5 +237,5 @@ def test_a_broken_file_of_the_user_is_named(tmp_path: Path) -> None:
     (tmp_path / "world").mkdir()
     (tmp_path / "world" / "mine.yaml").write_text("name: flat\nname: flat\n")
     with pytest.raises(ConfigError, match=r"no valid YAML: .*mine\.yaml.*duplicate key name") as caught:
-        compose(["+world=mine"], [str(tmp_path)])
+        compose(Conf, ["+world=mine"], [str(tmp_path)])
     assert "\n" not in str(caught.value)

@@ -8,7 +8,8 @@ import pytest
 from scipy.stats import fisher_exact
 
 from dune_rl.config.build import make_learning_env
-from dune_rl.config.compose import compose_evaluation
+from dune_rl.config.commands import EvaluateConf
+from dune_rl.config.compose import compose
 from dune_rl.learning.checkpoint import read_checkpoint_file
 from dune_rl.learning.evaluation import evaluate
 from dune_rl.learning.policies import built_in_policy
@@ -51,7 +52,7 @@ def test_which_rates_are_consistent(successes: int, expected: bool) -> None:
 def test_the_published_rates_hold(name: str) -> None:
     """On the first episodes of the study's seed; a policy that is worse, `go_to_goal`, is told apart."""
     file = STUDY / "policy.pt"
-    conf = compose_evaluation([f"checkpoint={file}"], [], read_checkpoint_file(file, "policy")["config"])
+    conf = compose(EvaluateConf, [f"checkpoint={file}"], [], read_checkpoint_file(file, "policy")["config"])
     env = make_learning_env(conf, 16, seed=21)
     policies = {
         "inspection": lambda: load_policy(file, env)[0],

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 import yaml
 
-from dune_rl.config.compose import compose_evaluation, compose_resumed
+from dune_rl.config.commands import EvaluateConf
+from dune_rl.config.compose import compose
 from dune_rl.config.saved import upgrade_saved
-from dune_rl.config.schema import EnvConf
+from dune_rl.config.schema import Conf, EnvConf
 from dune_rl.env.distributions import Choice, LogUniform, Normal, Uniform
 from dune_rl.env.domain_randomizer import DomainRandomizer
 from dune_rl.env.randomisation import RandomisationConf
@@ -38,13 +39,13 @@ def test_settings_of_the_studies_are_read(file: Path) -> None:
         saved = yaml.safe_load(file.read_text())
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        conf = compose_evaluation(["policy=random"], (), saved)
+        conf = compose(EvaluateConf, ["policy=random"], (), saved)
     assert conf.external_groups[0].name == "rover"
     # Sets with far goals give three times as long.
     steps = 6000 if file.parent.name.endswith("-site-v1") else 2000
     assert conf.task.terminations["time_limit"].max_steps == steps  # type: ignore[attr-defined]
     if "learning" in saved:
-        assert compose_resumed([], (), saved).groups == conf.groups
+        assert compose(Conf, [], (), saved).groups == conf.groups
 
 
 def test_the_oldest_runs_had_the_default_task_and_metrics() -> None:
@@ -58,13 +59,13 @@ def test_the_oldest_runs_had_the_default_task_and_metrics() -> None:
         {name: value for name, value in upgrade_saved(saved).items() if name in EnvConf.model_fields}
     )
     assert (conf.task, conf.metrics) == (TaskConf(), MetricsConf())
-    changed = compose_evaluation(["policy=random", "task.terminations.time_limit.max_steps=5"], (), saved)
+    changed = compose(EvaluateConf, ["policy=random", "task.terminations.time_limit.max_steps=5"], (), saved)
     assert changed.task == TaskConf().with_terms(terminations={"time_limit": {"max_steps": 5}})
 
 
 def test_angles_of_older_runs_are_the_same_in_degrees() -> None:
     saved = yaml.safe_load((EXPERIMENTS / "inspection" / "config.yaml").read_text())
-    conf = compose_evaluation(["policy=random"], (), saved)
+    conf = compose(EvaluateConf, ["policy=random"], (), saved)
     old = saved["sensors"]
     assert conf.sensors["lidar"].fov_deg == 360.0
     camera = parse_sensors(upgrade_saved({"sensors": old | {"enabled": ["camera"]}})["sensors"])["camera"]

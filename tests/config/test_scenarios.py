@@ -7,15 +7,9 @@ import pytest
 
 import dune_rl
 from dune_rl.commands.pages import option_group_rows
-from dune_rl.config.compose import (
-    check_sweep,
-    compose,
-    compose_benchmark,
-    compose_environment,
-    compose_evaluation,
-    compose_view,
-)
-from dune_rl.config.schema import EnvConf
+from dune_rl.config.commands import BenchmarkConf, EvaluateConf, ViewConf
+from dune_rl.config.compose import check_sweep, compose, compose_environment
+from dune_rl.config.schema import Conf, EnvConf
 from dune_rl.core import paths
 from dune_rl.core.errors import ConfigError
 from dune_rl.learning.checkpoint import read_checkpoint_file
@@ -59,11 +53,11 @@ def test_a_scenario_starts_and_steps(scenario: str) -> None:
 @pytest.mark.slow
 def test_every_command_takes_a_scenario() -> None:
     composed = [
-        compose(["scenario=farm"]),
-        compose(["+scenario=farm"]),
-        compose_view(["scenario=farm"]),
-        compose_benchmark(["scenario=farm"]),
-        compose_evaluation(["scenario=farm", "policy=random"]),
+        compose(Conf, ["scenario=farm"]),
+        compose(Conf, ["+scenario=farm"]),
+        compose(ViewConf, ["scenario=farm"]),
+        compose(BenchmarkConf, ["scenario=farm"]),
+        compose(EvaluateConf, ["scenario=farm", "policy=random"]),
         compose_environment(None, (), {"scenario": "farm"}),
     ]
     for conf in composed:
@@ -74,26 +68,28 @@ def test_every_command_takes_a_scenario() -> None:
 
 def test_the_world_is_inspection_without_a_scenario() -> None:
     assert compose_environment(None).world.name == "inspection"
-    assert compose_benchmark([]).world.name == "inspection"
-    assert compose_benchmark(["world.seed=4"]).world.seed == 4
+    assert compose(BenchmarkConf, []).world.name == "inspection"
+    assert compose(BenchmarkConf, ["world.seed=4"]).world.seed == 4
     assert compose_environment("flat", (), {"scenario": "crossing"}).world.name == "flat"
 
 
 @pytest.mark.slow
 def test_what_is_set_beside_a_scenario_wins() -> None:
-    conf = compose(["scenario=farm", "world.size_m=60", "actors.herd.count=3", "actors=[herd,dogs]"])
+    conf = compose(Conf, ["scenario=farm", "world.size_m=60", "actors.herd.count=3", "actors=[herd,dogs]"])
     assert conf.world.size_m == 60.0
     assert counts(conf) == {"herd": 3, "dog": 2}
-    assert counts(compose(["actors=none", "scenario=site_traffic"])) == {}
-    assert compose(["scenario=site_traffic", "task.spawn.region=anywhere"]).task.spawn.region == "anywhere"
+    assert counts(compose(Conf, ["actors=none", "scenario=site_traffic"])) == {}
+    assert (
+        compose(Conf, ["scenario=site_traffic", "task.spawn.region=anywhere"]).task.spawn.region == "anywhere"
+    )
     with pytest.raises(ConfigError, match=r"^actors\.car\.body is missing; give it a value$"):
-        compose(["scenario=site_traffic", "actors=none", "actors.car.count=2"])
+        compose(Conf, ["scenario=site_traffic", "actors=none", "actors.car.count=2"])
 
 
 def test_a_scenario_changes_the_settings_of_a_run() -> None:
     saved = read_checkpoint_file(RUN, "policy")["config"]
-    plain = compose_evaluation(["checkpoint=run"], (), saved)
-    conf = compose_evaluation(["checkpoint=run", "scenario=site_traffic", "actors.car.count=2"], (), saved)
+    plain = compose(EvaluateConf, ["checkpoint=run"], (), saved)
+    conf = compose(EvaluateConf, ["checkpoint=run", "scenario=site_traffic", "actors.car.count=2"], (), saved)
     assert counts(conf) == {"truck": 2, "car": 2, "walker": 5}
     assert conf.task.rewards == plain.task.rewards
     assert conf.sensors == plain.sensors
@@ -142,7 +138,7 @@ def test_lists_of_actors_compose(actors: str | list[str]) -> None:
 )
 def test_faults_are_named(words: list[str], message: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        compose(words)
+        compose(Conf, words)
     assert str(caught.value) == message
 
 
@@ -158,9 +154,9 @@ def test_no_scenario_in_python_is_none() -> None:
 
 def test_visitors_come_before_the_episode_ends() -> None:
     words = ["+world=flat", "actors=walkers", "task.terminations.time_limit.max_steps=200"]
-    compose([*words, "actors.walker.presence={arrive_s: [9, 90]}"])
+    compose(Conf, [*words, "actors.walker.presence={arrive_s: [9, 90]}"])
     with pytest.raises(ConfigError) as caught:
-        compose([*words, "actors.walker.presence={arrive_s: [10, 90]}"])
+        compose(Conf, [*words, "actors.walker.presence={arrive_s: [10, 90]}"])
     assert str(caught.value) == (
         "actors.walker.presence.arrive_s: episodes end after 10 s, before anybody comes (from 10 s on); let "
         "them come earlier, or raise task.terminations.time_limit.max_steps"
@@ -179,7 +175,7 @@ def test_a_scenario_of_ones_own(tmp_path: Path) -> None:
         "defaults:\n  - /world: inspection\n  - override /actors: [pedestrians, dogs]\n\n"
         "actors:\n  dog:\n    count: 1\n"
     )
-    conf = compose(["scenario=yard"], [str(tmp_path)])
+    conf = compose(Conf, ["scenario=yard"], [str(tmp_path)])
     assert counts(conf) == {"walker": 5, "dog": 1}
     assert (
         compose_environment(None, (), {"scenario": "yard"}, config_dirs=[str(tmp_path)]).actors == conf.actors
@@ -191,7 +187,7 @@ def test_a_scenario_of_ones_own(tmp_path: Path) -> None:
     ("name", "world"), [("farm", "rubicon"), ("crowd", "inspection"), ("farm", "inspection")]
 )
 def test_another_world_takes_what_it_knows_of_a_scenario(name: str, world: str) -> None:
-    conf = compose([f"+world={world}", f"scenario={name}"])
+    conf = compose(Conf, [f"+world={world}", f"scenario={name}"])
     assert conf.world.name == world
     in_python = compose_environment(None, (), {"scenario": name, "world": world})
     assert in_python.world == conf.world
@@ -199,4 +195,4 @@ def test_another_world_takes_what_it_knows_of_a_scenario(name: str, world: str) 
 
 def test_settings_that_another_world_lacks_are_named_where_they_are_given() -> None:
     with pytest.raises(ConfigError, match=r"world\.size_m is not a setting"):
-        compose(["+world=rubicon", "scenario=farm", "world.size_m=30"])
+        compose(Conf, ["+world=rubicon", "scenario=farm", "world.size_m=30"])

@@ -29,14 +29,9 @@ from dune_rl.__main__ import COMMANDS as PROGRAMS
 from dune_rl.commands import episode_sets, robots
 from dune_rl.commands.command_line import config_folders, parse_arguments
 from dune_rl.commands.engines import parse_settings as engines_settings
-from dune_rl.config.compose import (
-    check_sweep,
-    compose,
-    compose_evaluation,
-    compose_resumed,
-    compose_view,
-    override_value,
-)
+from dune_rl.config.commands import EvaluateConf, ViewConf
+from dune_rl.config.compose import check_sweep, compose, override_value
+from dune_rl.config.schema import Conf
 from dune_rl.core import paths
 from dune_rl.core.errors import ConfigError, DuneError
 from dune_rl.evaluation.episode_sets import read_episode_set
@@ -82,11 +77,11 @@ def compose_command(words: list[str]) -> None:
         return
     parsed = parse_arguments(rest, sweeps=program == "dune_rl.train")
     overrides, folders = parsed.overrides, config_folders(parsed)
-    saved = compose(["+world=inspection"]).model_dump(mode="json")
+    saved = compose(Conf, ["+world=inspection"]).model_dump(mode="json")
     if program == "dune_rl.train" and override_value(overrides, "resume"):
-        compose_resumed(overrides, folders, saved)
+        compose(Conf, overrides, folders, saved)
     elif program == "dune_rl.train":
-        check_sweep(overrides, folders) if parsed.multirun else compose(overrides, folders)
+        check_sweep(overrides, folders) if parsed.multirun else compose(Conf, overrides, folders)
     elif program == "dune_rl.evaluate" and {"resume", "verify"} & {word.partition("=")[0] for word in rest}:
         assert {word.partition("=")[0] for word in rest} <= {"resume", "processes", "verify", "sample"}
     elif program == "dune_rl.evaluate":
@@ -95,7 +90,7 @@ def compose_command(words: list[str]) -> None:
             # A path is that of a set that the page has made.
             own = str(name).endswith(".json")
             overrides.append(f"+world={'inspection' if own else read_episode_set(str(name)).world}")
-        compose_evaluation(overrides, folders, saved if override_value(overrides, "checkpoint") else None)
+        compose(EvaluateConf, overrides, folders, saved if override_value(overrides, "checkpoint") else None)
     elif program == "dune_rl.engines":
         engines_settings(overrides)
     elif program == "dune_rl.report":
@@ -103,7 +98,7 @@ def compose_command(words: list[str]) -> None:
     elif program == "dune_rl.trajectory":
         trajectory_words(rest)
     elif program == "dune_rl.view":
-        compose_view(overrides, folders, saved if override_value(overrides, "checkpoint") else None)
+        compose(ViewConf, overrides, folders, saved if override_value(overrides, "checkpoint") else None)
     else:
         assert program == "dune_rl.benchmark"
 
@@ -184,7 +179,7 @@ def test_the_shown_errors_are_the_real_ones() -> None:
                 world, settings, conf = trajectory_words(words[3:])
                 conf.plan(choose_world(world, settings))
             else:
-                compose(words[4:])
+                compose(Conf, words[4:])
         assert str(caught.value).splitlines() == expected
 
 

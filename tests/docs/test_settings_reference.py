@@ -90,7 +90,7 @@ def leaves(value: object, path: str = "") -> Iterator[str]:
 
 @pytest.mark.parametrize("model", [Conf, ViewConf, EvaluateConf, BenchmarkConf])
 def test_every_setting_of_a_command_is_in_the_reference(model: type[Settings]) -> None:
-    environment = compose(["+world=flat"]).model_dump(mode="json")
+    environment = compose(Conf, ["+world=flat"]).model_dump(mode="json")
     own = set(model.model_fields) - set(environment)
     tagged = {"world": "world=flat", "robot": "robot=rover_zero"}
     environment["robot"] = environment["agents"].pop("rover")["body"]
@@ -117,7 +117,7 @@ def test_comments_stand_behind_settings_and_above_sections() -> None:
 def test_the_defaults_are_those_of_the_files() -> None:
     assert (
         SETTINGS["learning.batch_size"].default
-        == f"`{compose(['+world=flat']).learning.model_dump()['batch_size']}`"
+        == f"`{compose(Conf, ['+world=flat']).learning.model_dump()['batch_size']}`"
     )
     assert SETTINGS["sensors.lidar.range_m"].default == "`12.0`"
 

@@ -17,7 +17,8 @@ from rich.console import Console
 from dune_rl.config.agents import AgentGroupConf
 from dune_rl.config.build import make_learning_env
 from dune_rl.config.commands import EvaluateConf
-from dune_rl.config.compose import compose, compose_evaluation
+from dune_rl.config.compose import compose
+from dune_rl.config.schema import Conf
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.files import sha256_of
 from dune_rl.evaluation.actor_populations import find_populations
@@ -47,7 +48,7 @@ QUIET = Console(quiet=True)
 @pytest.fixture(scope="module")
 def run(tmp_path_factory) -> Path:
     """A run of a rover and adversaries, with policies that have learned nothing."""
-    conf = compose([*TINY, "actors.walker.task=adversarial", "actors.walker.count=2", SHORT])
+    conf = compose(Conf, [*TINY, "actors.walker.task=adversarial", "actors.walker.count=2", SHORT])
     env = make_learning_env(conf, 1, 0)
     torch.manual_seed(0)
     folder = RunFolder(tmp_path_factory.mktemp("runs") / "foes", conf.model_dump(mode="json"), fresh=True)
@@ -64,8 +65,9 @@ def run(tmp_path_factory) -> Path:
 
 
 def settings(*words: str) -> EvaluateConf:
-    conf = compose_evaluation(
-        ["+world=flat", "policy=go_to_goal", "against=random", "cross_play=true", "seed=3", SHORT, *words]
+    conf = compose(
+        EvaluateConf,
+        ["+world=flat", "policy=go_to_goal", "against=random", "cross_play=true", "seed=3", SHORT, *words],
     )
     return conf.model_copy(update={"episodes": 3})
 
@@ -130,7 +132,7 @@ def test_actors_of_a_run_act_by_its_policy_in_its_bodies(run: Path) -> None:
 
 def test_actors_of_a_run_are_as_in_the_run_and_act_by_its_last_policy(tmp_path: Path) -> None:
     presence = "actors.walker.presence={arrive_s: [0, 2], stay_s: [3, 4]}"
-    conf = compose([*TINY, "actors.walker.count=2", presence, SHORT])
+    conf = compose(Conf, [*TINY, "actors.walker.count=2", presence, SHORT])
     source = tmp_path / "visitors"
     source.mkdir()
     for name in ("policy_best.pt", "policy_last.pt"):
@@ -146,7 +148,7 @@ def test_actors_of_a_run_are_as_in_the_run_and_act_by_its_last_policy(tmp_path: 
 
 def test_populations_without_room_are_told_before_anything_is_made(tmp_path: Path) -> None:
     words = ["+world=construction", "policy=go_to_goal", "cross_play=true", "scenes=1"]
-    conf = compose_evaluation([*words, "populations=[none,trucks,tractor]"])
+    conf = compose(EvaluateConf, [*words, "populations=[none,trucks,tractor]"])
     conf = conf.model_copy(update={"episodes": 1})
     out = tmp_path / "matrix"
     with pytest.raises(ConfigError, match=r"populations: trucks: [^$]*\npopulations: tractor: "):

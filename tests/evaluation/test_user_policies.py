@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from dune_rl import evaluate
-from dune_rl.config.compose import compose_evaluation
+from dune_rl.config.commands import EvaluateConf
+from dune_rl.config.compose import compose
 from dune_rl.evaluation.policies import policy_sources
 
 Call = Callable[..., int]
@@ -145,5 +146,5 @@ def test_a_checkpoint_in_the_current_folder_has_its_name(
 ) -> None:
     (tmp_path / "mine").mkdir()
     monkeypatch.chdir(tmp_path / "mine")
-    conf = compose_evaluation(["+world=flat", "policy=random"]).model_copy(update={"checkpoint": (".",)})
+    conf = compose(EvaluateConf, ["+world=flat", "policy=random"]).model_copy(update={"checkpoint": (".",)})
     assert [source.name for source in policy_sources(conf)] == ["mine", "random"]

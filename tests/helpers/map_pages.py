@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from dune_rl.config.commands import ViewConf
-from dune_rl.config.compose import compose_view
+from dune_rl.config.compose import compose
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.reporting.views import maps
 from dune_rl.visualization.site_map.panel import MapContent
@@ -19,7 +19,7 @@ COARSE = "dpi=72"
 
 
 def conf_of(*words: str) -> ViewConf:
-    return compose_view([*words, "view=map", COARSE])
+    return compose(ViewConf, [*words, "view=map", COARSE])
 
 
 @cache

@@ -9,6 +9,7 @@ from training import small, trainer, weights
 
 from dune_rl.commands import train
 from dune_rl.config.compose import compose
+from dune_rl.config.schema import Conf
 from dune_rl.core.errors import CheckpointError, ConfigError, DuneWarning
 from dune_rl.learning.checkpoint import (
     BEST_POLICY_FILE,
@@ -145,7 +146,7 @@ def test_a_frozen_group_starts_from_nothing(source: Path, tmp_path: Path) -> Non
 def test_a_resumed_run_starts_from_nothing_else(
     word: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    conf = compose(["+world=flat", "actors=none", "learning.start_from=runs/b"])
+    conf = compose(Conf, ["+world=flat", "actors=none", "learning.start_from=runs/b"])
     content = {"groups": {}, "config": conf.model_dump(mode="json")}
     write_checkpoint_file(tmp_path / CHECKPOINT_FILE, "checkpoint", content)
     resumed = []

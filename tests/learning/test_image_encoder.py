@@ -11,6 +11,7 @@ from training import assert_halves_make_a_whole, small, trainer
 
 from dune_rl.config.build import make_torchrl_env
 from dune_rl.config.compose import compose
+from dune_rl.config.schema import Conf
 from dune_rl.core.errors import CheckpointError, ConfigError
 from dune_rl.learning.group_policy import GroupPolicy
 from dune_rl.learning.networks.architecture import Architecture
@@ -137,7 +138,7 @@ def test_a_policy_sees_the_picture():
 
 @pytest.mark.slow
 def test_a_camera_alone_is_enough():
-    env = make_torchrl_env(compose(["+world=flat", "sensors=[camera]"]), 2, 0)
+    env = make_torchrl_env(compose(Conf, ["+world=flat", "sensors=[camera]"]), 2, 0)
     spec = PolicySpec.of(env, "rover")
     policy = GroupPolicy("rover", spec, make_policy_network(spec, Architecture((8,))))
     rollout = env.rollout(3, policy, break_when_any_done=False)

@@ -21,6 +21,7 @@ from training import small, trainer
 from dune_rl.commands.train import train
 from dune_rl.config.build import make_learning_env
 from dune_rl.config.compose import compose
+from dune_rl.config.schema import Conf
 from dune_rl.learning.evaluation import evaluate
 from dune_rl.learning.policies import built_in_policy
 from dune_rl.learning.run.tensorboard import EventFile, choose_hyperparameters, log_film
@@ -104,7 +105,7 @@ def _hparams_tags(events: EventAccumulator) -> list[str]:
 
 
 def test_what_tells_runs_apart() -> None:
-    conf = compose(["+world=flat", "learning.gamma=0.9"]).model_dump(mode="json")
+    conf = compose(Conf, ["+world=flat", "learning.gamma=0.9"]).model_dump(mode="json")
     words = ["+world=flat", "learning.gamma=0.9", "actors=none", "learning.hidden=[256, 256]"]
     found = choose_hyperparameters(
         conf, [*words, "run_dir=here", "hydra.sweep.dir=there", "film=false", "learning.collector.workers=1"]
@@ -132,7 +133,7 @@ def test_films_move(tmp_path: Path) -> None:
 def test_tracks_are_drawn_on_the_maps_of_their_worlds(worlds: int, tmp_path: Path) -> None:
     words = ["+world=island", "task.terminations.time_limit.max_steps=8"]
     words += ["randomisation=worlds"] if worlds > 1 else []
-    env = make_learning_env(compose(words), 2, 4)
+    env = make_learning_env(compose(Conf, words), 2, 4)
     pictures = EvaluationTracks(env, 3)
     drawn = []
     for driver in ("go_to_goal", "random"):
@@ -159,7 +160,7 @@ def test_training_fills_every_tab(tmp_path: Path) -> None:
         *("learning.evaluation.episodes=2", "learning.evaluation.scenes=2", "metrics=navigation"),
         *("task.terminations.time_limit.max_steps=4", f"run_dir={tmp_path / 'run'}"),
     ]
-    train(compose(words), words=words)
+    train(compose(Conf, words), words=words)
     events = read(tmp_path / "run")
     tags = events.Tags()
     assert {"tracks", "film"} == set(tags["images"])

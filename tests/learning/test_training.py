@@ -10,8 +10,9 @@ from training import assert_halves_make_a_whole, small
 from dune_rl.commands.train import train
 from dune_rl.config.build import make_learning_env
 from dune_rl.config.compose import compose
+from dune_rl.config.schema import Conf
 
-CONF = compose(["+world=inspection", "task.terminations.time_limit.max_steps=40"])
+CONF = compose(Conf, ["+world=inspection", "task.terminations.time_limit.max_steps=40"])
 MAKE_ENV = partial(make_learning_env, CONF)
 
 
@@ -23,7 +24,7 @@ def test_halves_make_a_whole_on_inspection(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_quick_learns_flat(tmp_path: Path) -> None:
-    train(compose(["+experiment=quick", f"run_dir={tmp_path / 'run'}"]))
+    train(compose(Conf, ["+experiment=quick", f"run_dir={tmp_path / 'run'}"]))
     with (tmp_path / "run" / "metrics.csv").open() as file:
         last = [row for row in csv.DictReader(file) if row["kind"] == "eval"][-1]
     assert float(last["SR"]) >= 0.9

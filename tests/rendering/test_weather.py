@@ -9,7 +9,9 @@ from sensors_of_rover_zero import camera_conf
 from simulations import act, observation, started_simulation
 from states import episode_state, state_of, write
 
-from dune_rl.config.compose import compose, compose_evaluation
+from dune_rl.config.commands import EvaluateConf
+from dune_rl.config.compose import compose
+from dune_rl.config.schema import Conf
 from dune_rl.core.errors import ConfigError
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.light import Light, LightConf, tone_map_to_srgb
@@ -276,11 +278,11 @@ def test_weather_reaches_every_sensor_and_repeats():
 
 
 def test_settings_saved_before_there_was_weather_have_none():
-    saved = compose(["+world=inspection"]).model_dump(mode="json")
+    saved = compose(Conf, ["+world=inspection"]).model_dump(mode="json")
     del saved["weather"], saved["world"]["grass_cover"], saved["world"]["grass_height_m"]
-    found = compose_evaluation(["checkpoint=x"], (), saved)
+    found = compose(EvaluateConf, ["checkpoint=x"], (), saved)
     assert (found.weather, found.world.grass_cover) == (CLEAR, 0.0)
-    assert compose_evaluation(["checkpoint=x", "weather=fog"], (), saved).weather.fog_visibility_m == 50.0
+    assert compose(EvaluateConf, ["checkpoint=x", "weather=fog"], (), saved).weather.fog_visibility_m == 50.0
 
 
 @pytest.mark.parametrize(
@@ -299,5 +301,5 @@ def test_settings_saved_before_there_was_weather_have_none():
 )
 def test_impossible_weather_is_refused(word, message):
     with pytest.raises(ConfigError) as caught:
-        compose(["+world=flat", word])
+        compose(Conf, ["+world=flat", word])
     assert str(caught.value) == message

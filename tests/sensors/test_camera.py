@@ -20,6 +20,7 @@ from states import begin, measure, state_at
 import dune_rl
 from dune_rl.bodies.person import PersonConf
 from dune_rl.config.compose import compose
+from dune_rl.config.schema import Conf
 from dune_rl.geometry.frames import rotation_matrices, wrap_angle
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.shared_per_scene import SharedPerScene
@@ -253,7 +254,8 @@ def test_the_torchrl_environment_with_a_camera_keeps_the_rules(scenes):
 @pytest.mark.slow
 def test_a_list_of_sensors_is_short_for_those_enabled():
     short, long = (
-        compose(["+world=flat", f"{name}=[camera,lidar]"]).sensors for name in ("sensors", "sensors.enabled")
+        compose(Conf, ["+world=flat", f"{name}=[camera,lidar]"]).sensors
+        for name in ("sensors", "sensors.enabled")
     )
     assert short == long
     assert list(short) == ["camera", "lidar"]

@@ -13,7 +13,9 @@ from training import make_sac
 
 from dune_rl import view
 from dune_rl.config.build import make_torchrl_env
-from dune_rl.config.compose import compose, compose_environment, compose_view
+from dune_rl.config.commands import ViewConf
+from dune_rl.config.compose import compose, compose_environment
+from dune_rl.config.schema import Conf
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.files import write_atomically
 from dune_rl.learning.checkpoint import write_checkpoint_file
@@ -135,8 +137,8 @@ def test_the_agent_that_is_followed_is_chosen_by_name(call: Call, folder: Path) 
 
 
 def test_the_episode_s_seed_is_not_the_training_s() -> None:
-    saved = compose(["+world=flat", "seed=7"]).model_dump(mode="json")
-    assert compose_view(["checkpoint=policy.pt"], (), saved).seed == 0
+    saved = compose(Conf, ["+world=flat", "seed=7"]).model_dump(mode="json")
+    assert compose(ViewConf, ["checkpoint=policy.pt"], (), saved).seed == 0
 
 
 @pytest.mark.parametrize(
@@ -174,7 +176,7 @@ def test_a_checkpoint_that_is_not_there_is_named(
 @pytest.mark.parametrize(("robot", "group"), [("rover_zero", "rover"), ("hyperdog", "hyperdog")])
 def test_a_checkpoint_drives(robot: str, group: str, call: Call, folder: Path) -> None:
     words = ["sensors=[goal,velocity]", "actors=none", f"robot={robot}"]
-    config = compose(["+world=flat", *words]).model_dump(mode="json")
+    config = compose(Conf, ["+world=flat", *words]).model_dump(mode="json")
     spec = spec_of(words, group)
     ends = []
     for bias in (-3.0, 3.0):
@@ -200,7 +202,7 @@ def spec_of(words: Sequence[str], group: str) -> PolicySpec:
 
 def test_two_drivers_are_refused() -> None:
     with pytest.raises(ConfigError, match="choose one driver: checkpoint=PATH or policy=NAME"):
-        compose_view(["+world=flat", "checkpoint=runs/a", "policy=random"])
+        compose(ViewConf, ["+world=flat", "checkpoint=runs/a", "policy=random"])
 
 
 def test_help_and_settings_are_shown(call: Call, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,6 +6,7 @@ from grass_samples import BEAM_EXTINCTION, EVERYWHERE, EXTINCTION, FULL, PLAIN, 
 from simulations import goals_w, motion_of_group, started_simulation
 
 from dune_rl.config.compose import compose
+from dune_rl.config.schema import Conf
 from dune_rl.core.errors import ConfigError
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
@@ -174,7 +175,7 @@ def test_impossible_grass_is_refused():
         with pytest.raises(ValueError, match=message):
             Grass(PLAIN, density, height)
     with pytest.raises(ConfigError) as caught:
-        compose(["+world=inspection", "world.grass_cover=1.5", "world.grass_height_m=0"])
+        compose(Conf, ["+world=inspection", "world.grass_cover=1.5", "world.grass_height_m=0"])
     assert str(caught.value).splitlines() == [
         "world.grass_cover must be at most 1.0 (got 1.5)",
         "world.grass_height_m must be above 0.0 (got 0)",

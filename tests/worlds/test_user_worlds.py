@@ -18,7 +18,9 @@ from user_packages import install_package, packages_on_path, write_package
 
 import dune_rl
 from dune_rl.config.build import build_world
-from dune_rl.config.compose import check_sweep, compose, compose_environment, compose_evaluation
+from dune_rl.config.commands import EvaluateConf
+from dune_rl.config.compose import check_sweep, compose, compose_environment
+from dune_rl.config.schema import Conf
 from dune_rl.core.errors import ConfigError, WorldError
 from dune_rl.core.untrusted_files import WorldWarning
 from dune_rl.env.registration import register_envs
@@ -55,7 +57,7 @@ def user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 def fault(*words: str, folders: tuple[str, ...] = ()) -> str:
     with pytest.raises(ConfigError) as caught:
-        compose(words, folders)
+        compose(Conf, words, folders)
     return str(caught.value)
 
 
@@ -75,16 +77,16 @@ def test_the_tutorial_s_world_as_a_new_user_tries_it(user: Path) -> None:
 
 @pytest.mark.slow
 def test_a_function_is_a_world_like_any_other(user: Path) -> None:
-    conf = compose(["+world=crater", "world.depth_m=3", "world.rocks=4"])
+    conf = compose(Conf, ["+world=crater", "world.depth_m=3", "world.rocks=4"])
     saved = conf.model_dump(mode="json")
     assert saved["world"] == {"name": "crater", "seed": 0, "depth_m": 3.0, "rocks": 4}
-    assert compose_evaluation(["checkpoint=x"], (), saved).world == conf.world
+    assert compose(EvaluateConf, ["checkpoint=x"], (), saved).world == conf.world
     assert compose_environment(saved["world"]).world == conf.world
     assert check_sweep(["+world=crater,flat", "seed=1,2"]) == ["+world=crater,flat", "seed=1,2"]
     assert check_sweep(["+world=crater", "world.seed=1,2"]) == ["+world=crater", "world.seed=1,2"]
     world = build_world(conf.world)
     assert len(world.props) == 5
-    assert build_world(compose(["+world=crater", "world.depth_m=3", "world.rocks=4"]).world) is world
+    assert build_world(compose(Conf, ["+world=crater", "world.depth_m=3", "world.rocks=4"]).world) is world
     register_envs()
     env = gymnasium.make("dune_rl/Crater-v0", actors="none")
     env.reset(seed=0)
@@ -99,10 +101,10 @@ def test_the_faults_of_settings_have_the_words_they_have_elsewhere(user: Path) -
         "world.deph_m is not a setting; did you mean world.depth_m?",
     ]
     assert "construction, crater, flat" in fault()
-    saved = compose(["+world=crater"]).model_dump(mode="json")
+    saved = compose(Conf, ["+world=crater"]).model_dump(mode="json")
     saved["world"]["name"] = "dune"
     with pytest.raises(ConfigError, match=r"no world 'dune' \(is the package that brings it installed\?\)"):
-        compose_evaluation(["checkpoint=x"], (), saved)
+        compose(EvaluateConf, ["checkpoint=x"], (), saved)
 
 
 @pytest.mark.slow
@@ -111,15 +113,18 @@ def test_a_folder_of_options_varies_any_world(user: Path) -> None:
     (user / "my" / "world" / "hole.yaml").write_text(
         "name: heightmap\npath: ${config_dir:world/hole.npy}\nsize_m: [20, 20]\n"
     )
-    assert compose(["+world=quarry"], ["my"]).world.model_dump()["rocks_per_100m2"] == 25
-    assert compose(["+world=deep"], ["my"]).world == compose(["+world=crater", "world.depth_m=4"]).world
+    assert compose(Conf, ["+world=quarry"], ["my"]).world.model_dump()["rocks_per_100m2"] == 25
+    assert (
+        compose(Conf, ["+world=deep"], ["my"]).world
+        == compose(Conf, ["+world=crater", "world.depth_m=4"]).world
+    )
     assert "there is no file world/hole.npy in my" in fault("+world=hole", folders=("my",))
     np.save(user / "my" / "world" / "hole.npy", np.random.default_rng(0).uniform(0.0, 0.1, (41, 41)))
-    conf = compose(["+world=hole"], ["my"])
+    conf = compose(Conf, ["+world=hole"], ["my"])
     assert conf.world.model_dump()["path"] == str(user / "my" / "world" / "hole.npy")
     # A file of the user's goes before a package, whose defaults are then the schema's.
     (user / "my" / "world" / "crater.yaml").write_text("name: crater\nrocks: 7\n")
-    assert compose(["+world=crater"], ["my"]).world.model_dump() == {
+    assert compose(Conf, ["+world=crater"], ["my"]).world.model_dump() == {
         **{"name": "crater", "seed": 0, "depth_m": 2.0},
         "rocks": 7,
     }
@@ -168,12 +173,12 @@ def test_a_broken_package_is_named_and_harms_no_other_world(user: Path) -> None:
         assert said.startswith(f"world: the package broken-worlds brings the world {name!r} as {value}, ")
         assert reason in said, said
     with pytest.raises(WorldError, match="as broken:nothing, which must return a World, but returned 0"):
-        build_world(compose(["+world=nothing"]).world)
+        build_world(compose(Conf, ["+world=nothing"]).world)
     with pytest.raises(TypeError) as caught:
-        build_world(compose(["+world=fails"]).world)
+        build_world(compose(Conf, ["+world=fails"]).world)
     assert "broken-worlds brings the world 'fails'" in caught.value.__notes__[0]
-    assert compose(["+world=crater"]).world.name == "crater"
-    assert compose(["+world=flat"]).world.name == "flat"
+    assert compose(Conf, ["+world=crater"]).world.name == "crater"
+    assert compose(Conf, ["+world=flat"]).world.name == "flat"
 
 
 def test_names_that_clash(user: Path) -> None:
@@ -183,20 +188,20 @@ def test_names_that_clash(user: Path) -> None:
         said = fault("+world=crater")
     assert re.search(r"the packages [\w-]+ and [\w-]+ both bring a world 'crater': uninstall one", said)
     with pytest.warns(WorldWarning):
-        assert type(compose(["+world=flat"]).world).__module__ == "dune_rl.worlds.flat"
+        assert type(compose(Conf, ["+world=flat"]).world).__module__ == "dune_rl.worlds.flat"
 
 
 def test_listing_and_other_worlds_import_no_package(user: Path) -> None:
     (user / "my_worlds.py").write_text("raise SystemExit('imported')")
     assert "crater" in WORLDS.names()
-    compose(["+world=flat"])
+    compose(Conf, ["+world=flat"])
     assert "my_worlds" not in sys.modules
 
 
 @pytest.mark.slow
 def test_a_registered_function_travels_to_other_processes(user: Path) -> None:
     dune_rl.register_world(dish)
-    conf = compose(["+world=dish", "world.depth_m=2"]).world
+    conf = compose(Conf, ["+world=dish", "world.depth_m=2"]).world
     assert build_world(conf).terrain.height([0.0, 0.0]) == -2.0
     assert fault("+world=dish", "world.depth_m=-1") == "world.depth_m must be above 0.0 (got -1)"
     sent = pickle.dumps(conf)

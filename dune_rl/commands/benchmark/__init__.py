@@ -12,7 +12,7 @@ from dune_rl.commands import command_line
 from dune_rl.commands.benchmark import parts
 from dune_rl.commands.benchmark.sensors import measure_sensors
 from dune_rl.config.commands import BenchmarkConf
-from dune_rl.config.compose import compose_benchmark
+from dune_rl.config.compose import compose
 
 _MEASURES: Mapping[str, Callable[[BenchmarkConf], Mapping[str, Any]]] = {
     "environment": parts.measure_environment,
@@ -32,7 +32,7 @@ _WITHOUT_GROUPS = ("terrain", "groups", "actors", "processes")
 def run(words: Sequence[str]) -> None:
     """Measure what the command line says."""
     parsed = command_line.parse_arguments(words)
-    conf = compose_benchmark(parsed.overrides, command_line.config_folders(parsed))
+    conf = compose(BenchmarkConf, parsed.overrides, command_line.config_folders(parsed))
     for part, measure in _MEASURES.items():
         if part in conf.parts:
             _emit(part, conf, measure(conf))

@@ -68,7 +68,7 @@ def _reset(simulation: VectorSimulation) -> Step:
     return partial(simulation.reset, np.ones(simulation.num_scenes, bool))
 
 
-def _median(times: Array) -> float:
+def _median(times: Array | list[float]) -> float:
     return float(np.median(times))
 
 

@@ -3,10 +3,12 @@
 Importing it loads no PyTorch.
 """
 
+from collections.abc import Mapping
 from typing import Any, Protocol
 
 from dune_rl.core.registry import Registry
 from dune_rl.core.settings import Settings
+from dune_rl.core.suggestions import one_of
 
 
 class EncoderConf(Settings):
@@ -42,4 +44,9 @@ ENCODERS: Registry[Any] = Registry(
 
 def parse_encoder(value: Any) -> Any:
     """The settings of an encoder, of which a name alone stands for its defaults; for a `BeforeValidator`."""
+    if isinstance(value, Mapping) and ENCODERS.tag not in value:
+        raise ValueError(
+            f"an encoder is {one_of(ENCODERS.names())}, or {{encoder: NAME, ...}} with settings; "
+            "learning.networks.lidar=scan sets the encoder of the sensor lidar"
+        )
     return ENCODERS.parse_settings({"encoder": value} if isinstance(value, str) else value)

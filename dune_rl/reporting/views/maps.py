@@ -9,7 +9,7 @@ from torch import no_grad
 
 from dune_rl.config.build import build_world, group_setups, make_torchrl_env
 from dune_rl.config.commands import ViewConf
-from dune_rl.config.controller_settings import reads_sensors
+from dune_rl.config.controllers import reads_sensors
 from dune_rl.core.files import write_atomically
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.assembly import build_groups
