@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from pydantic import Field
-from scipy import ndimage
+import scipy
 
 from dune_rl.core.settings import Settings
 from dune_rl.geometry.arrays import Floats
@@ -127,7 +127,7 @@ class Sky:
         self._haze = haze
         draws = np.random.default_rng(7).standard_normal((_TEXELS, _TEXELS))
         heaps = sum(
-            ndimage.gaussian_filter(draws, sigma, mode="wrap") * sigma * weight
+            scipy.ndimage.gaussian_filter(draws, sigma, mode="wrap") * sigma * weight
             for sigma, weight in ((34.0, 1.5), (14.0, 1.0), (6.0, 0.55), (2.5, 0.3))
         )
         heaps = heaps / np.std(heaps)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
+import scipy
 
 from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.geometry.heightfield import HeightField, grid_of, interpolate_grid
@@ -81,7 +81,7 @@ class ClearanceField:
         if free.all():
             return None
         # An obstacle's true edge is up to a cell beyond its outermost grid point.
-        distance = ndimage.distance_transform_edt(free, sampling=self.cell_m) - self.cell_m
+        distance = scipy.ndimage.distance_transform_edt(free, sampling=self.cell_m) - self.cell_m
         return np.maximum(distance, 0.0).astype(np.float32).reshape(-1)
 
     def _points(self, rows: NDArray[np.integer], columns: NDArray[np.integer]) -> Array:
@@ -109,7 +109,7 @@ class ClearanceField:
         """Index of the nearest blocked grid point of each grid point, row after row."""
         assert self.distance is not None
         free = self.distance.reshape(self.rows, self.columns) > 0.0
-        row, column = ndimage.distance_transform_edt(
+        row, column = scipy.ndimage.distance_transform_edt(
             free, sampling=self.cell_m, return_distances=False, return_indices=True
         )
         return (row * self.columns + column).astype(np.int32).reshape(-1)
@@ -220,7 +220,7 @@ class SurfaceClearance(ClearanceField):
 
     def _fill_interiors(self, free: Flags, meshes: Sequence[Mesh]) -> None:
         """Remove the regions inside closed surfaces from `free` (rows, columns), in place."""
-        labels, count = ndimage.label(free)
+        labels, count = scipy.ndimage.label(free)
         flat = labels.reshape(-1)
         order = np.argsort(flat, kind="stable")[int((flat == 0).sum()) :]
         sizes = np.bincount(flat, minlength=count + 1)[1:]
