@@ -3,8 +3,8 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from pydantic import Field
 import scipy
+from pydantic import Field
 
 from dune_rl.core.settings import Settings
 from dune_rl.geometry.arrays import Floats

@@ -5,8 +5,8 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 import scipy
+from numpy.typing import ArrayLike, NDArray
 
 from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.geometry.heightfield import HeightField, grid_of, interpolate_grid
