@@ -173,7 +173,7 @@ class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
                 # The ends of agents that stay are reported in the same step.
                 is_told = over or group.presence is not None
                 terminations[name] = is_told and bool(step.terminated[row])
-                truncations[name] = is_told and not terminations[name] and bool(over or step.truncated[row])
+                truncations[name] = is_told and not terminations[name] and bool(step.truncated[row])
         return rewards, terminations, truncations
 
     def _observations(self, agents: Sequence[str]) -> dict[str, Observation]:

@@ -46,6 +46,7 @@ def test_start_and_goal(env) -> None:
     # The next episode is as it would have been.
     env.reset()
     after = place(env)
+    assert np.abs(np.subtract(after[:2], [x, y])).max() > 0.5
     env.reset(seed=4, options={"episode": 1})
     assert place(env) == after
 

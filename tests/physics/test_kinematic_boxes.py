@@ -61,6 +61,16 @@ def test_a_robot_that_drives_into_a_parked_box_stops_and_reports_it(backend, yaw
     assert held_back is None or np.abs(held_back - poses_of(parked)).max() < 1e-3
 
 
+def test_a_box_is_at_the_end_of_its_way_in_the_last_physics_step():
+    # DART looks for contacts before it moves bodies.
+    stage = Stage("bullet", [plane()], [CAR])
+    touching = HULL_HALF_LENGTH_M + CAR.length_m / 2
+    stage.place(actors=still(touching + 0.95))
+    # Of 1 m in a control step, the last 5 cm are beyond the robot: a physics step earlier nothing touches.
+    stage.step(SUBSTEPS, 0.0, still(touching - 0.05))
+    assert stage.contacts() == {1}
+
+
 @every_backend
 def test_a_robot_passes_below_a_box_that_begins_above_it(backend):
     lorry = replace(CAR, clearance_m=0.6, height_m=2.0)
