@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scenes import (
+    BACKENDS,
     HULL_HALF_LENGTH_M,
     STEP_S,
     SUBSTEPS,
@@ -63,7 +64,7 @@ def test_a_robot_that_drives_into_a_parked_box_stops_and_reports_it(backend, yaw
 
 def test_a_box_is_at_the_end_of_its_way_in_the_last_physics_step():
     # DART looks for contacts before it moves bodies.
-    stage = Stage("bullet", [plane()], [CAR])
+    stage = Stage(BACKENDS["bullet"], [plane()], [CAR])
     touching = HULL_HALF_LENGTH_M + CAR.length_m / 2
     stage.place(actors=still(touching + 0.95))
     # Of 1 m in a control step, the last 5 cm are beyond the robot: a physics step earlier nothing touches.
