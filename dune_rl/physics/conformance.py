@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
+import trimesh
 
 from dune_rl.core.errors import PhysicsError
 from dune_rl.core.registry import missing_members
@@ -19,11 +20,14 @@ _RADIUS_M, _SPEED_RADPS = 0.1, 5.0
 _WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 _ASIDE = np.array([[5.0, 5.0, 0.0, 0.0, 0.0, 0.0]])
 _START = (0.0, 0.0, _RADIUS_M + 0.002)
+_PARKED = (-5.0, 5.0, _RADIUS_M + 0.002)
+# Ahead of the start, a robot drives into the post. Body numbers: ground, post, walker, robot, another robot.
+_POST_M, _POST, _WALKER, _OTHER = 3.0, 1, 2, 4
 _UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 
 
 def check_engine(make_scene: Callable[[SceneSpec], PhysicsScene]) -> None:
-    """Build a scene of a robot with four wheels on level ground, and drive in it.
+    """Build a scene of two robots with four wheels, a post and a walker on level ground, and drive in it.
 
     Raises `PhysicsError` for the first rule of `PhysicsScene` or `PhysicsRobot` that does not hold. How exact
     the engine's physics is, is not checked.
@@ -31,8 +35,9 @@ def check_engine(make_scene: Callable[[SceneSpec], PhysicsScene]) -> None:
     with tempfile.TemporaryDirectory() as folder:
         scene = make_scene(_scene_spec(Path(folder)))
         _require_members(PhysicsScene, scene)
-        _require(len(scene.robots) == 1, "`robots` has the robots of `SceneSpec.robots`")
-        (robot,) = scene.robots
+        _require(len(scene.robots) == 2, "`robots` has the robots of `SceneSpec.robots`")
+        robot, other = scene.robots
+        other.set_start_pose(_PARKED, _UPRIGHT)
         _require_members(PhysicsRobot, robot)
         _require(
             robot.joint_angles(["front_left"]) == (0.0,), "`joint_angles` are 0 before the first `reset`"
@@ -41,6 +46,7 @@ def check_engine(make_scene: Callable[[SceneSpec], PhysicsScene]) -> None:
         first = _drive(scene, robot)
         _require(scene.robots[0] is robot, "`robots` stay the same objects over `reset`")
         _require(_drive(scene, robot) == first, "the same calls after `reset` give the same bytes")
+        _check_contacts(scene, robot, other)
         _check_other_calls(scene, robot)
         scene.close()
         scene.close()
@@ -81,6 +87,28 @@ def _drive(scene: PhysicsScene, robot: PhysicsRobot) -> bytes:
     return states.tobytes()
 
 
+def _check_contacts(scene: PhysicsScene, robot: PhysicsRobot, other: PhysicsRobot) -> None:
+    """Drive into each kind of body, whose number is told."""
+    ahead = np.array([[1.0, 0.0, 0.0, 0.0, 0.0, 0.0]])
+    for name, number, x, walker, parked in (
+        ("a static body", _POST, _POST_M - 0.5, _ASIDE, _PARKED),
+        ("a kinematic body", _WALKER, 0.0, ahead, _PARKED),
+        ("a robot", _OTHER, 0.0, _ASIDE, (1.0, *_START[1:])),
+    ):
+        robot.set_start_pose((x, *_START[1:]), _UPRIGHT)
+        other.set_start_pose(parked, _UPRIGHT)
+        scene.reset(walker)
+        robot.set_command([_SPEED_RADPS] * 4)
+        touched: list[int] = []
+        for _ in range(60):
+            step_scene(scene, _SUBSTEPS, walker)
+            touched = list(robot.contacts())
+            if touched:
+                break
+        _require(touched == [number], f"`contacts` has the number of {name} that a robot drives into")
+    other.set_start_pose(_PARKED, _UPRIGHT)
+
+
 def _check_other_calls(scene: PhysicsScene, robot: PhysicsRobot) -> None:
     robot.set_wheel_contacts([0.8] * 4, [0.0] * 4)
     robot.apply_force([1.0, 0.0, 0.0])
@@ -98,6 +126,8 @@ def _check_other_calls(scene: PhysicsScene, robot: PhysicsRobot) -> None:
 def _scene_spec(folder: Path) -> SceneSpec:
     corners = np.array([[-20.0, -20.0, 0.0], [20.0, -20.0, 0.0], [20.0, 20.0, 0.0], [-20.0, 20.0, 0.0]])
     faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    post = trimesh.creation.box((0.2, 0.6, 1.0))
+    post.apply_translation((_POST_M, 0.0, 0.5))
     urdf = folder / "robot.urdf"
     urdf.write_text(_urdf())
     robot = RobotBody(
@@ -107,9 +137,14 @@ def _scene_spec(folder: Path) -> SceneSpec:
         ground_friction=1.0,
     )
     return SceneSpec(
-        statics=(StaticBody("ground", corners, faces, 1.0, ground=True),),
+        statics=(
+            StaticBody("ground", corners, faces, 1.0, ground=True),
+            StaticBody(
+                "post", np.asarray(post.vertices), np.asarray(post.faces, np.int32), 1.0, ground=False
+            ),
+        ),
         kinematics=(KinematicCapsule("walker", 0.3, 1.8),),
-        robots=(robot,),
+        robots=(robot, robot),
         timestep_s=_TIMESTEP_S,
         solver_iterations=10,
         measures_work=True,

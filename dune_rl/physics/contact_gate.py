@@ -179,20 +179,16 @@ class GatedRobot(Protocol):
         """Largest horizontal distance of any point of the robot, tyres included, from its position, at any
         joint angles.
         """
-        ...
 
     @property
     def base_mass_kg(self) -> float:
         """Mass of the base link, on which external forces act."""
-        ...
 
     def planar_motion(self) -> tuple[float, float, float]:
         """Position x, y [m] of the centre of mass, and speed [m/s] in all three directions."""
-        ...
 
     def body_state(self) -> tuple[float, ...]:
         """See `PhysicsRobot`."""
-        ...
 
 
 class ContactGate:

@@ -99,28 +99,24 @@ class PhysicsRobot(Protocol):
 
     def set_start_pose(self, position_w: Sequence[float], quaternion: Sequence[float]) -> None:
         """Set the pose of the base link, (3) [m] and xyzw (4), that the scene's next `reset` puts it at."""
-        ...
 
     def set_command(self, commands: Sequence[float]) -> None:
         """Set the command of each motor, a speed [rad/s] or an angle [rad], from the scene's next `step` on.
 
         `reset` sets the commands to `RobotBody.rest_commands`.
         """
-        ...
 
     def apply_force(self, force_w: Sequence[float]) -> None:
         """Set the force (3) [N], world frame, on the base link's centre of mass throughout the next `step`.
 
         It lasts for that step only.
         """
-        ...
 
     def set_body(self, variation: BodyVariation) -> None:
         """Set masses and motor strength, from the next `reset` on, until they are set again.
 
         Raises PhysicsError if the engine cannot do it. `read_urdf_body` and `scale_motors` do most of it.
         """
-        ...
 
     def set_wheel_contacts(
         self,
@@ -140,14 +136,12 @@ class PhysicsRobot(Protocol):
         only wheels and legs with motors have compliant contacts, and rebounds
         are below `restitution` by up to 0.12.
         """
-        ...
 
     def body_state(self) -> tuple[float, ...]:
         """Base position (3) [m], quaternion xyzw (4), linear (3) [m/s] and angular velocity (3) [rad/s].
 
         All in the world frame, and of the base link's own frame, wherever its centre of mass is.
         """
-        ...
 
     def drive_state(self) -> tuple[float, ...]:
         """Angles [rad], speeds [rad/s] and torques [N m] of the W motors' joints, concatenated (3 * W).
@@ -156,22 +150,18 @@ class PhysicsRobot(Protocol):
         what acted on the joint in the last physics step, gear friction
         subtracted, positive in the direction of positive speed.
         """
-        ...
 
     def work_j(self) -> float:
         """Work [J] of the motors since the last call; see `motors.motor_power_w`."""
-        ...
 
     def joint_angles(self, joints: Sequence[str]) -> tuple[float, ...]:
         """Angles [rad] of any joints of the robot, by name; 0 before the first `reset` and after `close`."""
-        ...
 
     def contacts(self) -> Sequence[int]:
         """Numbers of the bodies, without ground, that it touched in any physics step of the last `step`.
 
         In ascending order; none after `reset`.
         """
-        ...
 
 
 class PhysicsScene(Protocol):
@@ -187,7 +177,6 @@ class PhysicsScene(Protocol):
     @property
     def robots(self) -> Sequence[PhysicsRobot]:
         """The robots, in the order of `SceneSpec.robots`. They stay the same objects over `reset`."""
-        ...
 
     def reset(self, kinematic_poses: Array) -> None:
         """Put robots at their start poses, at rest, and kinematic bodies at theirs (K, 6).
@@ -195,14 +184,12 @@ class PhysicsScene(Protocol):
         Poses are x, y, z [m], yaw, roll and pitch [rad]; capsules stand upright at any.
         The result does not depend on anything before: the same calls after it give the same bytes.
         """
-        ...
 
     def move_kinematic(self, index: int, pose: Array) -> None:
         """Put a kinematic body at a pose (6), as for `reset`, between control steps.
 
         The next step moves it from there. No robot may touch it before or after.
         """
-        ...
 
     def begin_step(self, count: int, kinematic_poses: Array) -> None:
         """Prepare the `count` physics steps of a control step, under the robots' present commands and forces.
@@ -211,11 +198,9 @@ class PhysicsScene(Protocol):
         end; those near a robot move there, boxes turn and lean too, in `count` equal parts. Bodies that
         a robot holds back do not get there: see `held_back_poses`.
         """
-        ...
 
     def finish_step(self) -> None:
         """Advance by the control step that `begin_step` prepared."""
-        ...
 
     def held_back_poses(self) -> Array | None:
         """Where the kinematic bodies are after a step in which a robot held any of them back, else None.
@@ -223,15 +208,12 @@ class PhysicsScene(Protocol):
         Poses (K, 6) as for `reset`, of which x and y alone differ from those commanded. The next step
         moves the bodies from there.
         """
-        ...
 
     def step_passive(self, count: int) -> None:
         """Advance `count` physics steps with the last commands and without moving kinematic bodies."""
-        ...
 
     def close(self) -> None:
         """Free the engine's memory; a second call does nothing."""
-        ...
 
 
 def step_scene(scene: PhysicsScene, count: int, kinematic_poses: Array) -> None:

@@ -24,17 +24,14 @@ class BodyMotion(Protocol):
     @property
     def velocity_b(self) -> Array:
         """Velocity in the body frame [m/s], (N, 3)."""
-        ...
 
     @property
     def angular_b(self) -> Array:
         """Angular velocity in the body frame [rad/s], (N, 3)."""
-        ...
 
     @property
     def roll_pitch_yaw(self) -> Array:
         """Roll, pitch and yaw [rad], (N, 3)."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -137,7 +134,6 @@ class Robot(Protocol):
 
     def reset(self, mask: Flags) -> None:
         """Reset the controllers of the robots in `mask` (N,)."""
-        ...
 
     def commands(self, action: Array, motion: BodyMotion, step_s: float) -> Array:
         """Command of each motor, (N, J): a speed [rad/s] or an angle [rad], by `Motor.mode`.
@@ -145,7 +141,6 @@ class Robot(Protocol):
         `action` (N, A) is clipped to the range of actions. To be called once per control step of `step_s`, in
         order: controllers have state.
         """
-        ...
 
 
 def rectangle_outline(length_m: float, width_m: float, spacing_m: float = 0.16) -> Array:

@@ -1,5 +1,6 @@
 """Every engine, and a stub, passes the conformance check; planted faults do not."""
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -26,7 +27,7 @@ class StubRobot:
     def reset(self, num_motors: int) -> None:
         self.commands, self.angles = [0.0] * num_motors, [0.0] * num_motors
         self.position = self._start[:3]
-        self.speed = 0.0
+        self.speed, self.touched = 0.0, []
 
     def set_start_pose(self, position_w, quaternion):
         self._start = [*position_w, *quaternion]
@@ -59,19 +60,27 @@ class StubRobot:
         return (0.0,) * len(joints)
 
     def contacts(self):
-        return []
+        return self.touched
 
 
 class StubScene:
-    """A scene without collisions."""
+    """A scene without forces: robots stop, and report a contact, where other bodies are ahead of them."""
 
     def __init__(self, spec: SceneSpec) -> None:
         self._spec, self._count = spec, 0
         self.robots = [StubRobot(len(robot.motors)) for robot in spec.robots]
 
     def reset(self, kinematic_poses):
+        self._walkers = kinematic_poses
         for robot, body in zip(self.robots, self._spec.robots, strict=True):
             robot.reset(len(body.motors))
+
+    def obstacles(self):
+        """Numbers and x, y of all bodies but ground."""
+        statics = [(n, body.vertices[:, :2].mean(axis=0)) for n, body in enumerate(self._spec.statics)]
+        yield from (each for each in statics if not self._spec.statics[each[0]].ground)
+        yield from ((self._spec.kinematic_number(n), pose[:2]) for n, pose in enumerate(self._walkers))
+        yield from ((self._spec.robot_number(n), robot.position[:2]) for n, robot in enumerate(self.robots))
 
     def move_kinematic(self, index, pose): ...
 
@@ -86,7 +95,11 @@ class StubScene:
 
     def step_passive(self, count):
         for robot in self.robots:
-            robot.advance(count * self._spec.timestep_s)
+            robot.touched = [
+                number for number, xy in self.obstacles() if 0.0 < math.dist(xy, robot.position[:2]) < 0.5
+            ]
+            if not robot.touched:
+                robot.advance(count * self._spec.timestep_s)
 
     def close(self): ...
 
@@ -141,6 +154,11 @@ class Frozen(StubScene):
     def step_passive(self, count): ...
 
 
+class Misnumbering(StubScene):
+    def obstacles(self):
+        yield from ((number - 1, xy) for number, xy in super().obstacles())
+
+
 class Closeless:
     def __init__(self, spec: SceneSpec) -> None:
         self.robots = StubScene(spec).robots
@@ -153,6 +171,7 @@ class Closeless:
         (Remembering, "the same bytes"),
         (Replacing, "start pose|move the robot|same objects"),
         (Frozen, "move the robot"),
+        (Misnumbering, "number of a static body"),
         (Closeless, "a PhysicsScene has .*close"),
     ],
 )

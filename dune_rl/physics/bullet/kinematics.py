@@ -80,7 +80,6 @@ class PushedRobot(Protocol):
 
     def velocity_xy(self) -> tuple[float, float]:
         """Present horizontal velocity [m/s]."""
-        ...
 
 
 class BulletKinematics:

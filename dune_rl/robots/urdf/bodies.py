@@ -1,6 +1,6 @@
 """Rigid bodies of a URDF: links merged over fixed joints, written as a URDF that all engines read alike."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element, ElementTree, SubElement
@@ -15,6 +15,7 @@ from dune_rl.robots.urdf.meshes import MeshError, UrdfMeshes, primitive_mesh
 from dune_rl.robots.urdf.model import Geometry, Inertial, Joint, UrdfModel
 
 _SECTIONS = 32
+_ROUND = ("sphere", "cylinder", "mesh")
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +41,19 @@ class RigidBody:
     inertial: Inertial
     shapes: tuple[ConvexShape, ...]
     visuals: tuple[Geometry, ...]
+
+    @property
+    def axis_b(self) -> Array:
+        """Axis (3,) of its joint in the base's frame."""
+        assert self.joint is not None
+        axis: Array = self.pose_b[:3, :3] @ self.joint.axis
+        return axis
+
+    @property
+    def spins(self) -> bool:
+        """Whether it turns without end, and has a collision shape that can roll."""
+        turns = self.joint is not None and self.joint.kind == "continuous"
+        return turns and any(shape.geometry.kind in _ROUND for shape in self.shapes)
 
     def points_b(self) -> Array:
         """Corners (P, 3) [m] of all its collision shapes, in the base's frame with all joints at zero."""
@@ -77,8 +91,8 @@ def merge_links(model: UrdfModel, moving: Collection[str], meshes: UrdfMeshes) -
                     links.append((child.child, child_pose @ child.motion(child.rest)))
         if not inertials:
             by = "it is the base" if joint is None else f"joint {joint.name!r} moves it"
-            raise RobotError(
-                f"{model.path.name}: link {first!r} has no mass, nor has what is fixed to it, and {by}; "
+            raise model.fault(
+                f"link {first!r} has no mass, nor has what is fixed to it, and {by}; "
                 "give it an <inertial> with <mass> and <inertia>."
             )
         inertial = _combined_inertial(inertials)
@@ -88,33 +102,37 @@ def merge_links(model: UrdfModel, moving: Collection[str], meshes: UrdfMeshes) -
 
 def align_frames(bodies: Sequence[RigidBody], names: Collection[str]) -> list[RigidBody]:
     """The bodies, with the frames of those in `names` turned to the axes of the base's frame."""
-    turns = {body.name: body.pose_b[:3, :3] if body.name in names else np.eye(3) for body in bodies}
+    turns = {body.name: np.eye(4) for body in bodies}
+    for body in bodies:
+        if body.name in names:
+            turns[body.name][:3, :3] = body.pose_b[:3, :3]
     aligned = []
     for body in bodies:
-        own, joint = _rotation(turns[body.name]), body.joint
+        own, joint = turns[body.name], body.joint
         if joint is not None:
-            pose = _rotation(turns[joint.parent]) @ joint.pose @ own.T
-            joint = replace(joint, pose=pose, axis=own[:3, :3] @ joint.axis)
-        aligned.append(
-            RigidBody(
-                body.name,
-                joint,
-                body.pose_b @ own.T,
-                body.inertial.transform(own),
-                tuple(
-                    ConvexShape(_transformed(shape.geometry, own), shape.points @ own[:3, :3].T)
-                    for shape in body.shapes
-                ),
-                tuple(_transformed(visual, own) for visual in body.visuals),
+            joint = replace(
+                joint, pose=turns[joint.parent] @ joint.pose @ own.T, axis=own[:3, :3] @ joint.axis
             )
-        )
+        shapes = [
+            ConvexShape(_transformed(shape.geometry, own), shape.points @ own[:3, :3].T)
+            for shape in body.shapes
+        ]
+        visuals = tuple(_transformed(visual, own) for visual in body.visuals)
+        pose_b, inertial = body.pose_b @ own.T, body.inertial.transform(own)
+        aligned.append(RigidBody(body.name, joint, pose_b, inertial, tuple(shapes), visuals))
     return aligned
 
 
-def _rotation(turn: Array) -> Array:
-    pose = np.eye(4)
-    pose[:3, :3] = turn
-    return pose
+def reverse_axes(bodies: Sequence[RigidBody], joints: Collection[str]) -> list[RigidBody]:
+    """The bodies, with the axes of some joints reversed."""
+    reversed_axes = []
+    for body in bodies:
+        joint = body.joint
+        if joint is not None and joint.name in joints:
+            low, high = joint.limits
+            body = replace(body, joint=replace(joint, axis=-joint.axis, limits=(-high, -low)))
+        reversed_axes.append(body)
+    return reversed_axes
 
 
 def write_urdfs(
@@ -150,7 +168,7 @@ def write_urdfs(
             file = f"look_{number}_{index}.ply"
             mesh.export(folder / file)
             geometry = _write_shape(link, "visual", visual)
-            SubElement(geometry, "mesh", filename=file, scale=" ".join(map(repr, visual.size)))
+            SubElement(geometry, "mesh", filename=file, scale=_words(visual.size))
         if body.visuals and not len(link):
             for index, shape in enumerate(body.shapes):
                 geometry = _write_shape(link, "visual", shape.geometry)
@@ -190,29 +208,28 @@ def _combined_inertial(parts: list[Inertial]) -> Inertial:
 
 
 def _convex_shape(geometry: Geometry, link: str, meshes: UrdfMeshes, model: UrdfModel) -> ConvexShape:
-    if geometry.kind == "mesh":
-        assert geometry.mesh is not None
-        try:
-            corners = meshes.hull_corners(geometry.mesh, geometry.size)
-        except RobotError as error:
-            raise RobotError(f"{model.path.name}: link {link!r}: {error}") from None
-        except Exception:
-            raise RobotError(
-                f"{model.path.name}: link {link!r}: the mesh {geometry.mesh!r} is flat or empty, so that "
-                "nothing can collide with it; take a box for its <collision>."
-            ) from None
-        points = corners @ geometry.pose[:3, :3].T + geometry.pose[:3, 3]
-        return ConvexShape(replace(geometry, pose=np.eye(4)), points)
-    corners = np.asarray(primitive_mesh(geometry.kind, geometry.size, _SECTIONS).vertices)
-    return ConvexShape(geometry, corners @ geometry.pose[:3, :3].T + geometry.pose[:3, 3])
+    turn, place = geometry.pose[:3, :3], geometry.pose[:3, 3]
+    if geometry.mesh is None:
+        corners = np.asarray(primitive_mesh(geometry.kind, geometry.size, _SECTIONS).vertices)
+        return ConvexShape(geometry, corners @ turn.T + place)
+    try:
+        corners = meshes.hull_corners(geometry.mesh, geometry.size)
+    except RobotError as error:
+        raise model.fault(f"link {link!r}: {error}") from None
+    except Exception:
+        raise model.fault(
+            f"link {link!r}: the mesh {geometry.mesh!r} is flat or empty, so that "
+            "nothing can collide with it; take a box for its <collision>."
+        ) from None
+    return ConvexShape(replace(geometry, pose=np.eye(4)), corners @ turn.T + place)
+
+
+def _words(numbers: Iterable[float]) -> str:
+    return " ".join(repr(float(number)) for number in numbers)
 
 
 def _write_origin(element: Element, pose: Array) -> None:
-    xyz, rpy = (
-        " ".join(repr(float(number)) for number in numbers)
-        for numbers in (pose[:3, 3], euler_from_matrix(pose, axes="sxyz"))
-    )
-    SubElement(element, "origin", xyz=xyz, rpy=rpy)
+    SubElement(element, "origin", xyz=_words(pose[:3, 3]), rpy=_words(euler_from_matrix(pose, axes="sxyz")))
 
 
 def _write_inertial(link: Element, inertial: Inertial) -> None:
@@ -231,16 +248,16 @@ def _write_shape(link: Element, tag: str, geometry: Geometry) -> Element:
     element = SubElement(link, tag)
     _write_origin(element, geometry.pose)
     if tag == "visual" and geometry.colour is not None:
-        rgba = " ".join(repr(part) for part in (*geometry.colour, 1.0))
+        rgba = _words((*geometry.colour, 1.0))
         SubElement(SubElement(element, "material", name=rgba), "color", rgba=rgba)
     holder = SubElement(element, "geometry")
-    size = [repr(float(value)) for value in geometry.size]
     if geometry.kind == "box":
-        SubElement(holder, "box", size=" ".join(size))
-    elif geometry.kind == "cylinder":
-        SubElement(holder, "cylinder", radius=size[0], length=size[1])
-    elif geometry.kind == "sphere":
-        SubElement(holder, "sphere", radius=size[0])
+        SubElement(holder, "box", size=_words(geometry.size))
+    elif geometry.kind != "mesh":
+        names = ("radius", "length")
+        SubElement(
+            holder, geometry.kind, {name: repr(x) for name, x in zip(names, geometry.size, strict=False)}
+        )
     return holder
 
 
@@ -249,7 +266,7 @@ def _write_joint(root: Element, joint: Joint) -> None:
     SubElement(element, "parent", link=joint.parent)
     SubElement(element, "child", link=joint.child)
     _write_origin(element, joint.pose)
-    SubElement(element, "axis", xyz=" ".join(repr(float(x)) for x in joint.axis))
+    SubElement(element, "axis", xyz=_words(joint.axis))
     if joint.is_limited:
         lower, upper = joint.limits
         SubElement(element, "limit", lower=repr(lower), upper=repr(upper), effort="1e6", velocity="1e6")

@@ -6,13 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from dune_rl.core.constants import GRAVITY_MPS2
-from dune_rl.core.errors import RobotError
 from dune_rl.geometry.arrays import Array
 from dune_rl.robots.ackermann import AckermannConf, AckermannDrive, SteeringGeometry
 from dune_rl.robots.urdf.conf import UrdfConf, UrdfDriveConf
 from dune_rl.robots.urdf.layout import RobotLayout
 from dune_rl.robots.urdf.model import Joint, UrdfModel
-from dune_rl.robots.urdf.steering import steering_geometry, steering_rate
+from dune_rl.robots.urdf.steering import steering_geometry
 from dune_rl.robots.wheeled import SkidSteerConf
 
 # Torque over what equally loaded wheels on level ground take: loads differ, and the ground's friction acts
@@ -22,7 +21,7 @@ _MARGIN = 2.0
 NO_LIMIT_RATIO = 50.0
 
 
-def turning_torque(
+def _turning_torque(
     mass_kg: float, friction: float, radius_m: float, driven_b: Array, wheels_b: Array
 ) -> float:
     """Torque [N m] of each driven wheel, at `driven_b` (D, 3) [m], with which a robot turns on the spot.
@@ -38,24 +37,11 @@ def turning_torque(
     return _MARGIN * friction * mass_kg * GRAVITY_MPS2 / len(driven_b) * radius_m * share
 
 
-def climbing_torque(mass_kg: float, friction: float, radius_m: float, num_wheels: int) -> float:
-    """Torque [N m] of each of the driven wheels that reaches its grip if they carry the whole weight."""
-    return max(friction, 1.0) * mass_kg * GRAVITY_MPS2 * radius_m / num_wheels
-
-
-def steering_torque(mass_kg: float, friction: float, levers_m: Sequence[float], num_wheels: int) -> float:
-    """Torque [N m] of each steering joint that turns a standing wheel.
-
-    `levers_m` are the distances of the wheels' farthest points of contact from their pivots; the wheels
-    carry the weight in equal parts.
-    """
-    return _MARGIN * friction * mass_kg * GRAVITY_MPS2 / num_wheels * max(levers_m)
-
-
 # Effective over real track of wheels that scrub sideways: rover_zero's, measured.
 _SCRUB_RATIO = 1.4
 _DEFAULT_SPEED_MPS, _MAX_SPEED_MPS = 1.0, 10.0
 _ARC_SPEED_SHARE = 0.25
+_STEERING_RATE_RADPS = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +100,14 @@ def derive_drive(conf: UrdfConf, layout: RobotLayout, mass_kg: float, model: Urd
     if layout.kind == "skid_steer":
         return DerivedDrive(wheels, None, None, 0.0, (text,))
     joints = [model.joints[name] for name in layout.pivots.joints]
-    ackermann = _ackermann_conf(own, joints, wheels.max_speed_mps)
+    ackermann = AckermannConf(
+        max_speed_mps=wheels.max_speed_mps,
+        max_yaw_rate_radps=own.max_yaw_rate_radps,
+        max_acceleration_mps2=own.max_acceleration_mps2,
+        max_lateral_acceleration_mps2=own.max_lateral_acceleration_mps2,
+        max_steering_rate_radps=_steering_rate(own, joints),
+        arc_speed_mps=own.arc_speed_mps or _ARC_SPEED_SHARE * wheels.max_speed_mps,
+    )
     geometry = steering_geometry(driven, layout.wheels, layout.pivots, own, radius, model)
     _check_steering(geometry, layout, model)
     turning, steering_text = _steering_torque(conf, layout, joints, mass_kg, model)
@@ -124,66 +117,66 @@ def derive_drive(conf: UrdfConf, layout: RobotLayout, mass_kg: float, model: Urd
 def _check_steering(geometry: SteeringGeometry, layout: RobotLayout, model: UrdfModel) -> None:
     """Raise `RobotError` if the steering joints cannot turn the robot to both sides."""
     left, right = geometry.max_curvatures()
-    if 0.0 < left < np.inf and 0.0 < right < np.inf:
-        return
     joints = ", ".join(layout.pivots.joints)
     if np.isinf([left, right]).any():
-        raise RobotError(
-            f"{model.path.name}: {joints} steer, but none is before or behind the axle that it would turn "
+        raise model.fault(
+            f"{joints} steer, but none is before or behind the axle that it would turn "
             "the robot about; robot.drive.kind=skid_steer drives it without steering."
         )
-    raise RobotError(
-        f"{model.path.name}: {joints} cannot steer to both sides; give them a <limit> with lower below 0 and "
-        "upper above it, or name others in robot.steering_joints."
-    )
+    if min(left, right) <= 0.0:
+        raise model.fault(
+            f"{joints} cannot steer to both sides; give them a <limit> with lower below 0 and "
+            "upper above it, or name others in robot.steering_joints."
+        )
+
+
+def _choose_torque(
+    about: str, own: float | None, joints: Sequence[Joint], needed: float, use: str
+) -> tuple[float, str]:
+    """Torque of each of some joints [N m], and where it comes from."""
+    if own is not None:
+        return own, f"torque of {about}: {own:.2f} Nm, as set"
+    efforts = [joint.effort for joint in joints if joint.effort is not None]
+    limits = [effort for effort in efforts if effort < NO_LIMIT_RATIO * needed]
+    if limits:
+        return min(limits), f"torque of {about}: {min(limits):.2f} Nm, the URDF's effort limit"
+    why = "the URDF has no effort limit" if not efforts else f"its effort limit, {min(efforts):g}, is none"
+    return needed, f"torque of {about}: {needed:.2f} Nm, assumed ({why}): enough to {use}"
 
 
 def _wheel_torque(conf: UrdfConf, layout: RobotLayout, mass_kg: float, radius_m: float) -> tuple[float, str]:
-    """Torque of each driven wheel [N m], and where it comes from."""
     driven = np.array([wheel.centre_b for wheel in layout.driven])
     every = np.array([wheel.centre_b for wheel in layout.wheels])
-    friction = conf.wheel_friction
-    climb = climbing_torque(mass_kg, friction, radius_m, len(driven))
+    friction, own = conf.wheel_friction, conf.drive.max_torque_nm
+    # The grip of the driven wheels if they carry the whole weight.
+    climb = max(friction, 1.0) * mass_kg * GRAVITY_MPS2 * radius_m / len(driven)
     turn = 0.0
     if layout.kind == "skid_steer":
-        sideways = friction * conf.sideways_friction_share
-        turn = turning_torque(mass_kg, sideways, radius_m, driven, every)
-    needed = max(climb, turn)
-    if conf.drive.max_torque_nm is not None:
-        return conf.drive.max_torque_nm, f"torque of a wheel: {conf.drive.max_torque_nm:.2f} Nm, as set"
-    efforts = [wheel.joint.effort for wheel in layout.driven if wheel.joint.effort is not None]
-    limits = [effort for effort in efforts if effort < NO_LIMIT_RATIO * needed]
-    if limits:
-        text = f"torque of a wheel: {min(limits):.2f} Nm, the URDF's effort limit"
-        if min(limits) < turn / 2:
-            text += (
-                f"; too little to turn on the spot at friction {friction:g}, which takes {turn / 2:.2f} Nm: "
-                "see robot.drive.max_torque_nm"
-            )
-        return min(limits), text
-    why = "the URDF has no effort limit" if not efforts else f"its effort limit, {min(efforts):g}, is none"
+        turn = _turning_torque(mass_kg, friction * conf.sideways_friction_share, radius_m, driven, every)
     use = "turn on the spot" if turn > climb else "hold the tyres' grip on a slope"
-    return needed, (
-        f"torque of a wheel: {needed:.2f} Nm, assumed ({why}): enough to {use} with {mass_kg:.1f} kg at "
-        f"friction {friction:g}"
-    )
+    use += f" with {mass_kg:.1f} kg at friction {friction:g}"
+    joints = [wheel.joint for wheel in layout.driven]
+    torque, text = _choose_torque("a wheel", own, joints, max(climb, turn), use)
+    if own is None and torque < turn / 2:
+        text += (
+            f"; too little to turn on the spot at friction {friction:g}, which takes {turn / 2:.2f} Nm: "
+            "see robot.drive.max_torque_nm"
+        )
+    return torque, text
 
 
-def _ackermann_conf(own: UrdfDriveConf, joints: Sequence[Joint], top_mps: float) -> AckermannConf:
-    return AckermannConf(
-        max_speed_mps=top_mps,
-        max_yaw_rate_radps=own.max_yaw_rate_radps,
-        max_acceleration_mps2=own.max_acceleration_mps2,
-        max_lateral_acceleration_mps2=own.max_lateral_acceleration_mps2,
-        max_steering_rate_radps=steering_rate(own, joints),
-        arc_speed_mps=own.arc_speed_mps or _ARC_SPEED_SHARE * top_mps,
-    )
+def _steering_rate(conf: UrdfDriveConf, joints: Sequence[Joint]) -> float:
+    """Rate of steering [rad/s], from the settings or the joints' velocity limits."""
+    if conf.max_steering_rate_radps is not None:
+        return conf.max_steering_rate_radps
+    limits = [joint.velocity for joint in joints if joint.velocity is not None]
+    return min([*limits, 2 * _STEERING_RATE_RADPS]) if limits else _STEERING_RATE_RADPS
 
 
 def _steering_torque(
     conf: UrdfConf, layout: RobotLayout, joints: Sequence[Joint], mass_kg: float, model: UrdfModel
 ) -> tuple[float, str]:
-    """Torque of each steering joint [N m], and where it comes from."""
+    # From pivots to the farthest points of contact of their wheels, which carry the weight in equal parts.
     levers = []
     for wheel in layout.wheels:
         name = layout.pivots.steering.get(wheel.joint.name)
@@ -191,13 +184,6 @@ def _steering_torque(
             pivot = model.pose_b(model.joints[name].child)[:2, 3]
             along, aside = np.abs(wheel.centre_b[:2] - pivot)
             levers.append(float(np.hypot(along, aside + wheel.width_m / 2)))
-    needed = steering_torque(mass_kg, conf.wheel_friction, levers, len(layout.wheels))
-    if conf.drive.max_steering_torque_nm is not None:
-        own = conf.drive.max_steering_torque_nm
-        return own, f"torque of steering: {own:.2f} Nm, as set"
-    efforts = [joint.effort for joint in joints if joint.effort is not None]
-    limits = [effort for effort in efforts if effort < NO_LIMIT_RATIO * needed]
-    if limits:
-        return min(limits), f"torque of steering: {min(limits):.2f} Nm, the URDF's effort limit"
-    why = "the URDF has no effort limit" if not efforts else f"its effort limit, {min(efforts):g}, is none"
-    return needed, f"torque of steering: {needed:.2f} Nm, assumed ({why}): enough to turn a standing wheel"
+    needed = _MARGIN * conf.wheel_friction * mass_kg * GRAVITY_MPS2 / len(layout.wheels) * max(levers)
+    own = conf.drive.max_steering_torque_nm
+    return _choose_torque("steering", own, joints, needed, "turn a standing wheel")

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 from dune_rl.core.errors import RobotError
 from dune_rl.physics.robot_body import Coupling
-from dune_rl.robots.urdf.bodies import RigidBody, align_frames, merge_links
+from dune_rl.robots.urdf.bodies import RigidBody, align_frames, merge_links, reverse_axes
 from dune_rl.robots.urdf.conf import DriveKind, UrdfConf
 from dune_rl.robots.urdf.meshes import UrdfMeshes
 from dune_rl.robots.urdf.model import Joint, UrdfModel
@@ -17,9 +17,7 @@ from dune_rl.robots.urdf.wheels import (
     check_joint_names,
     check_named_wheels,
     find_wheels,
-    list_moving_joints,
     named_wheels,
-    turn_axes,
 )
 
 _MOST_CAR_WHEELS = 4
@@ -75,10 +73,7 @@ def find_layout(conf: UrdfConf, model: UrdfModel, meshes: UrdfMeshes) -> RobotLa
     return RobotLayout(
         kind,
         bodies,
-        sorted(
-            (wheel for wheel in wheels if wheel.joint.name in driven_names),
-            key=lambda wheel: driven_names.index(wheel.joint.name),
-        ),
+        _in_order(wheels, driven_names),
         [wheel for wheel in wheels if wheel.joint.name not in driven_names],
         pivots,
         passive,
@@ -101,7 +96,7 @@ def _choose_drive(wheels: Sequence[Wheel], conf: UrdfConf, model: UrdfModel) -> 
         raise RobotError(
             f"robot.drive.kind=ackermann: {model.path.name} has no joint that looks like steering (about z, "
             "with a wheel below it); name it in robot.steering_joints. "
-            f"It has {list_moving_joints(model)}"
+            f"It has {model.list_moving_joints()}"
         )
     return "skid_steer", pivots, "skid-steer: no wheel hangs on a joint that steers"
 
@@ -111,23 +106,22 @@ def _driven_wheels(
 ) -> tuple[list[Wheel], str]:
     """The wheels with motors, in their order, and why these."""
     if named:
-        order = {name: index for index, name in enumerate(named)}
-        found = sorted(
-            (wheel for wheel in wheels if wheel.joint.name in order),
-            key=lambda wheel: order[wheel.joint.name],
-        )
-        return found, "driven wheels: by robot.left_wheels and robot.right_wheels"
+        return _in_order(wheels, named), "driven wheels: by robot.left_wheels and robot.right_wheels"
     commanded = [wheel for wheel in wheels if wheel.joint.name in model.hints.commanded]
     enough = bool(commanded) if pivots.steering else len({wheel.on_left for wheel in commanded}) == 2
     if enough and len(commanded) < len(wheels):
         return commanded, "driven wheels: those that the URDF's controllers command"
     straight = [wheel for wheel in wheels if wheel.joint.name not in pivots.steering]
     if pivots.steering and not enough and straight and len(wheels) <= _MOST_CAR_WHEELS:
-        return (
-            straight,
-            "driven wheels: those that do not steer (others: robot.left_wheels and right_wheels)",
-        )
+        note = "driven wheels: those that do not steer (others: robot.left_wheels and right_wheels)"
+        return straight, note
     return list(wheels), "driven wheels: all"
+
+
+def _in_order(wheels: Sequence[Wheel], names: Sequence[str]) -> list[Wheel]:
+    """The wheels whose joints are in `names`, in that order."""
+    by_name = {wheel.joint.name: wheel for wheel in wheels}
+    return [by_name[name] for name in names if name in by_name]
 
 
 def _orient(
@@ -137,12 +131,8 @@ def _orient(
     turned = {wheel.joint.name for wheel in wheels if wheel.backward}
     if suspension.differential is not None:
         # Both rockers about the same direction, as engines expect of a differential.
-        turned |= {
-            name
-            for name in suspension.differential
-            if (model.pose_b(model.joints[name].child)[:3, :3] @ model.joints[name].axis)[1] < 0.0
-        }
-    oriented = turn_axes(bodies, turned)
+        turned |= {name for name in suspension.differential if model.axis_b(model.joints[name])[1] < 0.0}
+    oriented = reverse_axes(bodies, turned)
     # Engines put compliance along the vertical of the body that a wheel is mounted on.
     names = {wheel.joint.name for wheel in wheels}
     mounts = {body.joint.parent for body in oriented if body.joint is not None and body.joint.name in names}
@@ -154,7 +144,7 @@ def _couplings(passive: Sequence[Joint], suspension: Suspension) -> tuple[Coupli
     couplings = [
         Coupling(joint.mimic[0], joint.name, joint.mimic[1])
         for joint in passive
-        if joint.mimic is not None and joint.mimic[0] in names and joint.mimic[0] != joint.name
+        if joint.mimic is not None and joint.mimic[0] in names - {joint.name}
     ]
     if suspension.differential is not None:
         couplings.append(Coupling(*suspension.differential, ratio=-1.0))
@@ -167,7 +157,5 @@ def _describe_suspension(suspension: Suspension) -> list[str]:
     lines = [f"suspension: {', '.join(suspension.joints)} turn freely"]
     if suspension.differential is not None:
         left, right = suspension.differential
-        lines.append(
-            f"suspension: a differential between {left} and {right} is assumed (none is in the URDF)"
-        )
+        lines.append(f"suspension: a differential between {left} and {right} is assumed (the URDF has none)")
     return lines

@@ -127,6 +127,20 @@ class UrdfModel:
     def _by_child(self) -> dict[str, Joint]:
         return {joint.child: joint for joint in self.joints.values()}
 
+    def fault(self, text: str) -> RobotError:
+        """An error about the file."""
+        return RobotError(f"{self.path.name}: {text}")
+
+    def axis_b(self, joint: Joint) -> Array:
+        """Axis (3,) of a joint in the root's frame with all joints at rest."""
+        axis: Array = self.pose_b(joint.child)[:3, :3] @ joint.axis
+        return axis
+
+    def list_moving_joints(self) -> str:
+        """The joints that are not fixed, for messages."""
+        moving = [f"{joint.name} ({joint.kind})" for joint in self.joints.values() if joint.kind != "fixed"]
+        return ", ".join(moving) or "no joints that move"
+
     def pose_b(self, link: str) -> Array:
         """Pose (4, 4) of `link` in the root's frame with all joints at rest."""
         return self._poses_b[link]

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 
-from dune_rl.core.errors import RobotError
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.physics.motors import Motor
 from dune_rl.physics.robot_body import PassiveJoint, RobotBody
@@ -132,8 +131,8 @@ def _describe(conf: UrdfConf, layout: RobotLayout, model: UrdfModel) -> RobotDes
     hull = _lowest_point([body for body in bodies if body not in rolling])
     deeper = bottom - hull
     if deeper > _MAX_DEPTH_M:
-        raise RobotError(
-            f"{model.path.name}: its hull reaches {deeper:.3f} m "
+        raise model.fault(
+            f"its hull reaches {deeper:.3f} m "
             "below its wheels, which would hang in the air; mend a <collision>, or name the wheels in "
             "robot.left_wheels and robot.right_wheels."
         )

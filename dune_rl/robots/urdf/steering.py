@@ -7,13 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from dune_rl.core.errors import RobotError
-from dune_rl.geometry.arrays import Array
 from dune_rl.robots.ackermann import SteeringGeometry, SteeringJoints
 from dune_rl.robots.urdf.conf import UrdfConf, UrdfDriveConf
 from dune_rl.robots.urdf.model import Joint, UrdfModel
-from dune_rl.robots.urdf.wheels import MIN_AXIS, Wheel, check_joint_names, list_moving_joints
-
-_MIN_RANGE_RAD = 1e-3
+from dune_rl.robots.urdf.wheels import MIN_AXIS, Wheel, check_joint_names
 
 
 @dataclass(frozen=True)
@@ -44,9 +41,8 @@ def find_suspension(wheels: Sequence[Wheel], model: UrdfModel) -> Suspension:
         below = [wheel for wheel in wheels if joint.name in above[wheel.joint.name]]
         if not 2 <= len(below) < len(wheels) or not _can_swing(joint):
             continue
-        pose = model.pose_b(joint.child)
-        axis = np.abs(pose[:3, :3] @ joint.axis)
-        places = np.array([wheel.centre_b for wheel in below]) - pose[:3, 3]
+        axis = np.abs(model.axis_b(joint))
+        places = np.array([wheel.centre_b for wheel in below]) - model.pose_b(joint.child)[:3, 3]
         if axis[1] > MIN_AXIS and _straddles(places[:, 0]):
             levers[joint.name] = below
         elif axis[0] > MIN_AXIS and _straddles(places[:, 1]):
@@ -92,7 +88,6 @@ _MIN_VERTICAL = 0.85
 _MIN_RANGE_RAD = 0.1
 _MAX_ANGLE_RAD = float(np.deg2rad(60.0))
 _DEFAULT_ANGLE_RAD = float(np.deg2rad(30.0))
-_DEFAULT_RATE_RADPS = 2.0
 # Distance of a wheel behind its pivot, over its radius, from which on it trails like a caster's.
 _TRAIL = 0.4
 _STEERING_NAME = re.compile(r"steer|stear|knuckle|kingpin|hinge|corner|swivel_motor", re.IGNORECASE)
@@ -143,7 +138,7 @@ def find_pivots(wheels: Sequence[Wheel], conf: UrdfConf, model: UrdfModel) -> Pi
         if name not in steering.values():
             raise RobotError(
                 f"robot.steering_joints: joint {name} of {model.path.name} has no wheel below it, or is not "
-                f"about the vertical (z up); it has {list_moving_joints(model)}"
+                f"about the vertical (z up); it has {model.list_moving_joints()}"
             )
     return Pivots(steering, {wheel: joint for wheel, joint in casters.items() if wheel not in steering})
 
@@ -153,7 +148,7 @@ def _pivots_above(wheel: Wheel, model: UrdfModel) -> list[Joint]:
     return [
         joint
         for joint in model.joints_above(model.joints[wheel.joint.name].parent)
-        if joint.kind in ("revolute", "continuous") and abs(float(_axis_b(joint, model)[2])) > _MIN_VERTICAL
+        if joint.kind in ("revolute", "continuous") and abs(float(model.axis_b(joint)[2])) > _MIN_VERTICAL
     ]
 
 
@@ -178,11 +173,6 @@ def _steering_score(joint: Joint, wheel: Wheel, model: UrdfModel) -> int:
     )
 
 
-def _axis_b(joint: Joint, model: UrdfModel) -> Array:
-    axis: Array = model.pose_b(joint.child)[:3, :3] @ joint.axis
-    return axis
-
-
 def steering_geometry(
     driven: Sequence[Wheel],
     wheels: Sequence[Wheel],
@@ -193,7 +183,6 @@ def steering_geometry(
 ) -> SteeringGeometry:
     """Geometry of `wheels`, of which `driven` have motors, with `pivots`."""
     joints = [model.joints[name] for name in pivots.joints]
-    limits = [_limits(joint, conf, model) for joint in joints]
     straight = [wheel for wheel in wheels if wheel.joint.name not in pivots.steering]
     if straight:
         turning_x = float(np.mean([wheel.centre_b[0] for wheel in straight]))
@@ -202,24 +191,19 @@ def steering_geometry(
         turning_x = float(min(across) + max(across)) / 2
     places = {name: model.pose_b(model.joints[name].child)[:2, 3] for name in pivots.joints}
     own = [pivots.steering.get(wheel.joint.name) for wheel in driven]
+    pivots_b = [
+        wheel.centre_b[:2] if name is None else places[name] for wheel, name in zip(driven, own, strict=True)
+    ]
     return SteeringGeometry(
         turning_x_m=turning_x,
         pivots=SteeringJoints(
             positions_b=np.array(list(places.values())),
-            signs=np.array([np.sign(_axis_b(joint, model)[2]) for joint in joints]),
-            limits=np.array(limits),
+            signs=np.array([np.sign(model.axis_b(joint)[2]) for joint in joints]),
+            limits=np.array([_limits(joint, conf, model) for joint in joints]),
         ),
-        wheel_pivots_b=np.array(
-            [
-                wheel.centre_b[:2] if name is None else places[name]
-                for wheel, name in zip(driven, own, strict=True)
-            ]
-        ),
+        wheel_pivots_b=np.array(pivots_b),
         wheel_offsets_m=np.array(
-            [
-                0.0 if name is None else wheel.centre_b[1] - places[name][1]
-                for wheel, name in zip(driven, own, strict=True)
-            ]
+            [wheel.centre_b[1] - pivot[1] for wheel, pivot in zip(driven, pivots_b, strict=True)]
         ),
         steered=np.array([name is not None for name in own]),
         wheel_radius_m=radius_m,
@@ -229,17 +213,9 @@ def steering_geometry(
 def _limits(joint: Joint, conf: UrdfDriveConf, model: UrdfModel) -> tuple[float, float]:
     """Lowest and highest steering angle [rad], positive to the left."""
     low, high = joint.limits if joint.kind == "revolute" else (-_DEFAULT_ANGLE_RAD, _DEFAULT_ANGLE_RAD)
-    if _axis_b(joint, model)[2] < 0.0:
+    if model.axis_b(joint)[2] < 0.0:
         low, high = -high, -low
     most = _MAX_ANGLE_RAD if conf.max_steering_deg is None else float(np.deg2rad(conf.max_steering_deg))
     if joint.kind == "continuous" and conf.max_steering_deg is not None:
         low, high = -most, most
     return max(low, -most), min(high, most)
-
-
-def steering_rate(conf: UrdfDriveConf, joints: Sequence[Joint]) -> float:
-    """Rate of steering [rad/s], from the settings or the joints' velocity limits."""
-    if conf.max_steering_rate_radps is not None:
-        return conf.max_steering_rate_radps
-    limits = [joint.velocity for joint in joints if joint.velocity is not None]
-    return min([*limits, 2 * _DEFAULT_RATE_RADPS]) if limits else _DEFAULT_RATE_RADPS

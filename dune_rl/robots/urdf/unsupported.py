@@ -6,11 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dune_rl.core.errors import RobotError
 from dune_rl.core.untrusted_files import printable
 from dune_rl.robots.urdf.bodies import RigidBody
 from dune_rl.robots.urdf.model import UrdfModel
-from dune_rl.robots.urdf.wheels import MIN_AXIS, Wheel, is_round
+from dune_rl.robots.urdf.wheels import MIN_AXIS, Wheel
 
 # Words in names are separated by anything but letters, or by case: "omni_wheel", "wheelMecanumFL".
 _MECANUM = re.compile(r"me[ck]h?anum|swedish", re.IGNORECASE)
@@ -30,24 +29,21 @@ def refuse_unsupported_drives(bodies: Sequence[RigidBody], wheels: Sequence[Whee
     One name is one sign, and rollers or a controller that moves it sideways are two. Tracks that are modelled
     by wheels count as wheels.
     """
-    file = model.path.name
-    signs = _sideways_signs(bodies, wheels, model)
-    if sum(weight for weight, _ in signs) >= _LEAST_SCORE:
-        raise RobotError(
-            f"{file}: the robot has mecanum or omnidirectional wheels ({_listed(signs)}"
-            "), which are not supported; robot.drive.kind=skid_steer drives it as if they were plain ones."
-        )
-    signs = _track_signs(wheels, model)
-    if sum(weight for weight, _ in signs) >= _LEAST_SCORE:
-        raise RobotError(
-            f"{file}: the robot has tracks ({_listed(signs)}), which are not "
-            "supported; give each track a row of wheels (continuous joints about y, cylinders), or, where it "
-            "has them, set robot.drive.kind=skid_steer."
-        )
-
-
-def _listed(signs: Sequence[tuple[int, str]]) -> str:
-    return printable("; ".join(text for _, text in signs))
+    for signs, text in (
+        (
+            _sideways_signs(bodies, wheels, model),
+            "mecanum or omnidirectional wheels ({}), which are not supported; robot.drive.kind=skid_steer "
+            "drives it as if they were plain ones.",
+        ),
+        (
+            _track_signs(wheels, model),
+            "tracks ({}), which are not supported; give each track a row of wheels (continuous joints about "
+            "y, cylinders), or, where it has them, set robot.drive.kind=skid_steer.",
+        ),
+    ):
+        if sum(weight for weight, _ in signs) >= _LEAST_SCORE:
+            listed = printable("; ".join(sign for _, sign in signs))
+            raise model.fault(f"the robot has {text.format(listed)}")
 
 
 def _sideways_signs(
@@ -59,19 +55,12 @@ def _sideways_signs(
         signs.append((2, f"plugin {plugins[0]}"))
     links = {wheel.body.name for wheel in wheels}
     # A hub need not have a shape of its own: its rollers stand on the ground.
-    rollers = Counter(joint.parent for joint in model.joints.values() if joint.kind == "continuous")
-    hubs = [
-        joint.child
-        for joint in model.joints.values()
-        if joint.kind == "continuous" and rollers[joint.child] >= _LEAST_ROLLERS
-    ]
+    turning = [joint for joint in model.joints.values() if joint.kind == "continuous"]
+    rollers = Counter(joint.parent for joint in turning)
+    hubs = [joint.child for joint in turning if rollers[joint.child] >= _LEAST_ROLLERS]
     if hubs:
         signs.append((2, f"rollers on link {hubs[0]}"))
-    named = [
-        wheel
-        for wheel in wheels
-        if any(word.search(f"{wheel.joint.name} {wheel.body.name}") for word in (_MECANUM, _OMNI))
-    ]
+    named = [wheel for wheel in wheels if _names_sideways(f"{wheel.joint.name} {wheel.body.name}")]
     if named:
         weight = 2 if len(named) == len(wheels) > 2 else 1
         signs.append((weight, f"wheels called {named[0].body.name}"))
@@ -92,9 +81,9 @@ def _star_signs(bodies: Sequence[RigidBody]) -> list[tuple[int, str]]:
     """Three or more wheels whose horizontal axes point in different directions, as on kiwi drives."""
     angles = []
     for body in bodies:
-        if body.joint is None or body.joint.kind != "continuous" or not is_round(body):
+        if not body.spins:
             continue
-        axis = body.pose_b[:3, :3] @ body.joint.axis
+        axis = body.axis_b
         centre = body.points_b().mean(axis=0)
         outward = centre[:2] / max(float(np.linalg.norm(centre[:2])), 1e-9)
         # Axes that point outward, most of them askew to y.

@@ -1,7 +1,7 @@
 """Wheels of a URDF: continuous joints about the robot's y with round links that stand on the ground."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,7 +11,6 @@ from dune_rl.robots.urdf.bodies import RigidBody
 from dune_rl.robots.urdf.conf import UrdfConf
 from dune_rl.robots.urdf.model import Joint, UrdfModel
 
-_ROUND = ("sphere", "cylinder", "mesh")
 # Least absolute component of a wheel's axis along the robot's y.
 MIN_AXIS = 0.97
 # A wheel's lowest point is at most this share of its radius, and this height, above that of the others.
@@ -47,14 +46,14 @@ def find_wheels(bodies: Sequence[RigidBody], excluded: Collection[str], named: S
     found: list[Wheel] = []
     for body in bodies:
         joint = body.joint
-        if joint is None or joint.kind != "continuous" or joint.name in excluded:
+        if joint is None or not body.spins or joint.name in excluded:
             continue
-        axis = body.pose_b[:3, :3] @ joint.axis
-        if abs(float(axis[1])) > MIN_AXIS and is_round(body):
+        across = float(body.axis_b[1])
+        if abs(across) > MIN_AXIS:
             points = body.points_b()
             centre = (points.min(axis=0) + points.max(axis=0)) / 2
             radius = float(np.hypot(*(points - centre)[:, [0, 2]].T).max())
-            found.append(Wheel(joint, body, centre, radius, bool(axis[1] < 0.0)))
+            found.append(Wheel(joint, body, centre, radius, across < 0.0))
     low = [wheel.centre_b[2] - wheel.radius_m for wheel in found if not named or wheel.joint.name in named]
     bottom = min(low, default=0.0)
 
@@ -65,30 +64,24 @@ def find_wheels(bodies: Sequence[RigidBody], excluded: Collection[str], named: S
     return [wheel for wheel in found if wheel.joint.name in named or stands(wheel)]
 
 
-def is_round(body: RigidBody) -> bool:
-    """Whether a body has a collision shape that can roll."""
-    return any(shape.geometry.kind in _ROUND for shape in body.shapes)
-
-
 def check_named_wheels(
     bodies: Sequence[RigidBody], conf: UrdfConf, named: Sequence[str], model: UrdfModel
 ) -> None:
     """Raise `RobotError` for a named wheel that cannot be one, or is on the other side."""
-    file = model.path.name
     places: dict[str, float] = {}
     for body in bodies:
         joint = body.joint
         if joint is None or joint.name not in named:
             continue
-        axis = body.pose_b[:3, :3] @ joint.axis
-        if abs(float(axis[1])) <= MIN_AXIS:
-            raise RobotError(
-                f"{file}: joint {joint.name} turns about ({axis[0]:.2f}, {axis[1]:.2f}, {axis[2]:.2f}), and "
+        x, y, z = body.axis_b
+        if abs(y) <= MIN_AXIS:
+            raise model.fault(
+                f"joint {joint.name} turns about ({x:.2f}, {y:.2f}, {z:.2f}), and "
                 "wheels turn about the robot's y (x is forward, z up); turn the root link's frame."
             )
-        if not is_round(body):
-            raise RobotError(
-                f"{file}: link {body.name!r} of wheel {joint.name} has no round <collision>; give it a "
+        if not body.spins:
+            raise model.fault(
+                f"link {body.name!r} of wheel {joint.name} has no round <collision>; give it a "
                 "cylinder or a sphere."
             )
         across = body.points_b()[:, 1]
@@ -97,7 +90,7 @@ def check_named_wheels(
         for name in names or ():
             if (places[name] > 0.0) != left:
                 raise RobotError(
-                    f"robot.{setting}_wheels: joint {name} of {file} is at y = "
+                    f"robot.{setting}_wheels: joint {name} of {model.path.name} is at y = "
                     f"{places[name]:.3f} m, and left is where y is above 0; change sides."
                 )
 
@@ -106,34 +99,24 @@ def check_driven_wheels(
     driven: Sequence[Wheel], bodies: Sequence[RigidBody], conf: UrdfConf, model: UrdfModel, *, steers: bool
 ) -> None:
     """Raise `RobotError` if the wheels with motors cannot drive the robot."""
-    file = model.path.name
     if not driven or (not steers and len({wheel.on_left for wheel in driven}) < 2):
-        raise RobotError(
-            f"{file}: no wheels are found on both sides; name them in robot.left_wheels and "
-            f"robot.right_wheels: continuous joints about y with a round <collision>.{_turned_frame(bodies)} "
-            f"It has {list_moving_joints(model)}"
+        about_x = sum(body.spins and abs(float(body.axis_b[0])) > MIN_AXIS for body in bodies)
+        hint = ""
+        if about_x > 1:
+            hint = (
+                f" {about_x} such joints turn about x: if y is its forward axis, turn the root link's frame."
+            )
+        raise model.fault(
+            "no wheels are found on both sides; name them in robot.left_wheels and "
+            f"robot.right_wheels: continuous joints about y with a round <collision>.{hint} "
+            f"It has {model.list_moving_joints()}"
         )
     radii = [wheel.radius_m for wheel in driven]
     if max(radii) > 1.1 * min(radii) and conf.drive.wheel_radius_m is None:
-        raise RobotError(
-            f"{file}: its wheels have radii from {min(radii):.3f} to {max(radii):.3f} m; name those that "
+        raise model.fault(
+            f"its wheels have radii from {min(radii):.3f} to {max(radii):.3f} m; name those that "
             "drive in robot.left_wheels and robot.right_wheels."
         )
-
-
-def _turned_frame(bodies: Sequence[RigidBody]) -> str:
-    """A hint for a robot whose wheels turn about its x axis."""
-    about_x = [
-        body
-        for body in bodies
-        if body.joint is not None
-        and body.joint.kind == "continuous"
-        and is_round(body)
-        and abs(float((body.pose_b[:3, :3] @ body.joint.axis)[0])) > MIN_AXIS
-    ]
-    if len(about_x) < 2:
-        return ""
-    return f" {len(about_x)} such joints turn about x: if y is its forward axis, turn the root link's frame."
 
 
 def named_wheels(conf: UrdfConf, model: UrdfModel) -> list[str]:
@@ -143,7 +126,7 @@ def named_wheels(conf: UrdfConf, model: UrdfModel) -> list[str]:
     if not conf.left_wheels or not conf.right_wheels:
         raise RobotError(
             "robot.left_wheels and robot.right_wheels must both name joints, or both be null; "
-            f"{model.path.name} has {list_moving_joints(model)}"
+            f"{model.path.name} has {model.list_moving_joints()}"
         )
     check_joint_names("left_wheels", conf.left_wheels, model)
     check_joint_names("right_wheels", conf.right_wheels, model)
@@ -159,7 +142,7 @@ def check_joint_names(setting: str, names: Sequence[str], model: UrdfModel) -> N
     for name in names:
         if name not in model.joints:
             raise RobotError(
-                f"robot.{setting}: {model.path.name} has no joint {name}; it has {list_moving_joints(model)}"
+                f"robot.{setting}: {model.path.name} has no joint {name}; it has {model.list_moving_joints()}"
             )
         kind = model.joints[name].kind
         if kind not in kinds:
@@ -173,26 +156,3 @@ _WANTED_JOINTS = {
     "steering_joints": ("revolute or continuous ones", ("revolute", "continuous")),
     "free_joints": ("one that moves", ("continuous", "revolute", "prismatic")),
 }
-
-
-def list_moving_joints(model: UrdfModel) -> str:
-    """The joints that are not fixed, for messages."""
-    moving = [f"{joint.name} ({joint.kind})" for joint in model.joints.values() if joint.kind != "fixed"]
-    return ", ".join(moving) or "no joints that move"
-
-
-def turn_axes(bodies: Sequence[RigidBody], joints: Collection[str]) -> list[RigidBody]:
-    """The bodies, with the axes of some joints reversed."""
-    return [
-        body
-        if body.joint is None or body.joint.name not in joints
-        else replace(
-            body,
-            joint=replace(
-                body.joint,
-                axis=-body.joint.axis,
-                limits=(-body.joint.limits[1], -body.joint.limits[0]),
-            ),
-        )
-        for body in bodies
-    ]
