@@ -16,12 +16,7 @@ class RandomWaypoint(DestinedBehaviour):
     motion_models = ("holonomic", "unicycle", "bicycle")
 
     def __init__(
-        self,
-        num_rows: int,
-        *,
-        speed_mps: Speed = 1.0,
-        range_m: Range = 8.0,
-        pause_s: PauseRange = (0.0, 3.0),
+        self, num_rows: int, *, speed_mps: Speed = 1.0, range_m: Range = 8.0, pause_s: PauseRange = (0.0, 3.0)
     ) -> None:
         nowhere = np.zeros((0, 2))
         destinations = Destinations(num_rows, "random_waypoint", nowhere, range_m, pause_s)

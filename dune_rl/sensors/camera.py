@@ -59,11 +59,10 @@ class CameraConf(LensConf, SensorSettings):
 class Camera:
     """Pictures of M scenes, which share the static world and differ in their moving actors.
 
-    A picture is (height, width, channels), its first row at the top. `rgb` and
-    `grey` are bytes for a screen, `segmentation` bytes of `Segment`; `depth`
-    [m] is measured along the optical axis of a pinhole, along the ray of a
-    fisheye; `normals` are unit vectors in the camera frame (x forward, y left,
-    z up), zero where nothing is seen.
+    A picture is (height, width, channels), its first row at the top. `rgb` and `grey` are bytes for a screen,
+    `segmentation` bytes of `Segment`; `depth` [m] is measured along the optical axis of a pinhole, along the
+    ray of a fisheye; `normals` are unit vectors in the camera frame (x forward, y left, z up), zero where
+    nothing is seen.
 
     Of the `air`, haze fades colours alone. Tall grass hides what is behind it
     from colours, depth and segmentation: where it takes half the light, depth

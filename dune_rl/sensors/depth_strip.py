@@ -49,12 +49,10 @@ class DepthStripConf(SensorSettings):
 class DepthStrip(VectorSensor):
     """The reading "depth_strip", (M, columns) [m], of M rovers, moving actors seen.
 
-    Columns run counter-clockwise over the field of view, each bearing in the
-    middle of its share. A depth is measured along the bearing, in the plane of
-    the rover's forward and left axes: the nearest over the column's rays, and
-    `range_m` where none of them meets anything that near. Of the `air`, tall
-    grass ends a ray where half its light is lost, as for a camera's depth; haze
-    does nothing to it.
+    Columns run counter-clockwise over the field of view, each bearing in the middle of its share. A depth is
+    measured along the bearing, in the plane of the rover's forward and left axes: the nearest over the
+    column's rays, and `range_m` where none of them meets anything that near. Of the `air`, tall grass ends a
+    ray where half its light is lost, as for a camera's depth; haze does nothing to it.
     """
 
     def __init__(self, name: str, context: SensorContext, conf: DepthStripConf) -> None:

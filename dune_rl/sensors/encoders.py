@@ -35,8 +35,7 @@ class EncodersConf(SensorSettings):
 class WheelCounter:
     """How far the W wheels of M rovers turn from one control step to the next, as encoders tell it.
 
-    Counts are whole since the start of the episode, so that what one step
-    rounds away the next one brings.
+    Counts are whole since the start of the episode, so that what one step rounds away the next one brings.
     """
 
     def __init__(self, conf: EncodersConf, num_rows: int, num_wheels: int, step_s: float) -> None:

@@ -21,12 +21,10 @@ _HIGHEST_M = 1_000.0
 class HeightScanConf(SensorSettings):
     """Size and place of the grid, and what it shows.
 
-    `ahead_m` is the distance of the first row ahead of the robot's origin.
-    Heights are clipped to `limit_m` both ways. `source=solid` looks down from
-    `above_m` over the ground on which the rover stands and sees decks, walls
-    and everything else that is solid and still; `source=terrain` tells the
-    bare ground. `standing_height_m` is that of the
-    robot's origin over level ground, None the robot's own.
+    `ahead_m` is the distance of the first row ahead of the robot's origin. Heights are clipped to `limit_m`
+    both ways. `source=solid` looks down from `above_m` over the ground on which the rover stands and sees
+    decks, walls and everything else that is solid and still; `source=terrain` tells the bare ground.
+    `standing_height_m` is that of the robot's origin over level ground, None the robot's own.
     """
 
     from_carrier: ClassVar = {"standing_height_m": "standing_height_m"}
@@ -67,13 +65,11 @@ class HeightScanConf(SensorSettings):
 class HeightScan(VectorSensor):
     """The reading "height_scan", (M, rows * columns) [m], of M rovers.
 
-    Frame: the rover's position and yaw alone; however it rolls or pitches, the
-    grid stays level. Row by row from the nearest, each from right to left.
-    Heights are over the plane `standing_height_m` below the robot's origin, so
-    that level ground reads 0. With `source=solid`, what hangs wholly higher
-    than `above_m` is overhead and not seen; walls and hills that reach higher
-    read the upper limit, and where there is no ground at all, the lower.
-    Moving actors are not seen.
+    Frame: the rover's position and yaw alone; however it rolls or pitches, the grid stays level. Row by row
+    from the nearest, each from right to left. Heights are over the plane `standing_height_m` below the
+    robot's origin, so that level ground reads 0. With `source=solid`, what hangs wholly higher than `above_m`
+    is overhead and not seen; walls and hills that reach higher read the upper limit, and where there is no
+    ground at all, the lower. Moving actors are not seen.
     """
 
     def __init__(self, name: str, context: SensorContext, conf: HeightScanConf) -> None:

@@ -21,10 +21,9 @@ _ROUNDS = 20
 class LensConf(Settings):
     """Size of the picture, projection, field of view and distortion.
 
-    `fov_deg` is the angle between the left and the right edge of the picture
-    at half its height, distortion included. `distortion` holds OpenCV's
-    coefficients: k1, k2, p1, p2, k3 of a `pinhole`, k1 to k4 of a `fisheye`
-    (equidistant); those left out are 0.
+    `fov_deg` is the angle between the left and the right edge of the picture at half its height, distortion
+    included. `distortion` holds OpenCV's coefficients: k1, k2, p1, p2, k3 of a `pinhole`, k1 to k4 of a
+    `fisheye` (equidistant); those left out are 0.
     """
 
     width: int = Field(64, ge=1, le=8192, description="[px]")
@@ -33,10 +32,7 @@ class LensConf(Settings):
         "pinhole", description="pinhole, or fisheye (equidistant)"
     )
     fov_deg: float = Field(
-        60.0,
-        ge=0.5,
-        le=180.0,
-        description="angle between the left and the right edge of the picture [deg]",
+        60.0, ge=0.5, le=180.0, description="angle between the left and the right edge of the picture [deg]"
     )
     distortion: tuple[float, ...] = Field(
         (), max_length=5, description="OpenCV's k1, k2, p1, p2, k3 of a pinhole, k1 to k4 of a fisheye"
@@ -58,9 +54,8 @@ class LensConf(Settings):
 class Lens:
     """The projection of a `LensConf`, both ways; raises ValueError where its distortion folds the picture.
 
-    Camera frame: x forward, y left, z up. A picture's first row is its top,
-    its first column its left. Formulae: OpenCV, "Camera Calibration and 3D
-    Reconstruction" and "Fisheye camera model".
+    Camera frame: x forward, y left, z up. A picture's first row is its top, its first column its left.
+    Formulae: OpenCV, "Camera Calibration and 3D Reconstruction" and "Fisheye camera model".
     """
 
     def __init__(self, conf: LensConf) -> None:

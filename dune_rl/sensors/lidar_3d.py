@@ -66,13 +66,11 @@ class Lidar3dConf(SensorSettings):
 class Lidar3d:
     """The readings "<name>_<output>", (N, n_rings, n_beams, 1).
 
-    The first ring is the highest; beams run counter-clockwise from -fov/2, as
-    those of the planar LiDAR. `range` [m] is `range_m` where nothing returns;
-    `segmentation` holds bytes of `Segment`, SKY where nothing returns;
-    `intensity`, in [0, 1], is that of matt surfaces: the albedo's luminance,
-    times the cosine of the angle of incidence, over 1 + (range /
-    half_intensity_m)². That is the LiDAR equation's inverse square far away,
-    and even close by, where receivers see only part of their beam.
+    The first ring is the highest; beams run counter-clockwise from -fov/2, as those of the planar LiDAR.
+    `range` [m] is `range_m` where nothing returns; `segmentation` holds bytes of `Segment`, SKY where nothing
+    returns; `intensity`, in [0, 1], is that of matt surfaces: the albedo's luminance, times the cosine of the
+    angle of incidence, over 1 + (range / half_intensity_m)². That is the LiDAR equation's inverse square far
+    away, and even close by, where receivers see only part of their beam.
 
     The robot itself is not seen. What a beam meets in the air counts as VEGETATION where it is grass; a
     false return of haze is faint and has the segment SKY.

@@ -34,18 +34,16 @@ class RangeEffect(Protocol):
 class InHaze:
     """Beams in fog or dust of `extinction` [1/m].
 
-    The light of a return falls by exp(-2 * extinction * range), Beer and
-    Lambert's law there and back, beside the inverse square of the LiDAR
-    equation. A receiver that needs one photon, where q = (range_m / range)² is
-    the mean number that makes returns from `range_m` as likely as not in clear
-    air, misses it with a chance of 2^-q. So of those that return in clear air,
-    (1 - 2^(-q * exp(-2 * extinction * range))) / (1 - 2^-q) still do.
+    The light of a return falls by exp(-2 * extinction * range), Beer and Lambert's law there and back, beside
+    the inverse square of the LiDAR equation. A receiver that needs one photon, where q = (range_m / range)²
+    is the mean number that makes returns from `range_m` as likely as not in clear air, misses it with a
+    chance of 2^-q. So of those that return in clear air, (1 - 2^(-q * exp(-2 * extinction * range))) / (1 -
+    2^-q) still do.
 
-    The haze itself gives a false return nearer than the true one where its own
-    first photon comes from: after Rasshofer, Spies and Spies (2011), from
-    range r at a rate that goes as extinction * exp(-2 * extinction * r) / r²
-    beyond the overlap of beam and receiver. What is lost in haze leaves
-    `range_m`, as what never was there.
+    The haze itself gives a false return nearer than the true one where its own first photon comes from: after
+    Rasshofer, Spies and Spies (2011), from range r at a rate that goes as extinction * exp(-2 * extinction *
+    r) / r² beyond the overlap of beam and receiver. What is lost in haze leaves `range_m`, as what never was
+    there.
     """
 
     segment = Segment.SKY
@@ -85,8 +83,7 @@ class InHaze:
 class InGrass:
     """Beams of `directions_b` (N, 3) from `mount_b` (3,) that end at a blade, by chance and path length.
 
-    Each step draws anew how deep a beam goes, as blades that move in the wind
-    would have it.
+    Each step draws anew how deep a beam goes, as blades that move in the wind would have it.
     """
 
     segment = Segment.VEGETATION

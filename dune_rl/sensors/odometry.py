@@ -36,9 +36,8 @@ class OdometryConf(SensorSettings):
 class DriveGeometry:
     """Radius of the wheels, the track that tells their difference as a turn, and which wheels are where.
 
-    A skid-steer's wheels scrub sideways when it turns, so that `track_m` is
-    wider than the distance between them. `left` and `right` are indices of
-    drive joints.
+    A skid-steer's wheels scrub sideways when it turns, so that `track_m` is wider than the distance between
+    them. `left` and `right` are indices of drive joints.
     """
 
     wheel_radius_m: float

@@ -21,9 +21,8 @@ _FARTHEST_DRIFT = 4.0
 class PositionConf(SensorSettings):
     """A slow error of the position, as satellites' orbits and the air make it; without one it is the true.
 
-    The drifts are standard deviations, of x and y each and of z. An error fades
-    to a share of 1/e of itself in `drift_time_s`, and new ones take its place
-    (a Gauss-Markov process of first order).
+    The drifts are standard deviations, of x and y each and of z. An error fades to a share of 1/e of itself
+    in `drift_time_s`, and new ones take its place (a Gauss-Markov process of first order).
     """
 
     default_realism: ClassVar = PositionRealismConf.model_validate("zed_f9p")

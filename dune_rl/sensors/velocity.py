@@ -8,12 +8,7 @@ from dune_rl.geometry.arrays import Array
 from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.realism.noise import NoiseConf
 from dune_rl.sensors.realism.pipeline import ReadingRealismConf, SpeedRealismConf
-from dune_rl.sensors.sensor import (
-    MAX_SENSED_SPEED_MPS,
-    MAX_SENSED_TURN_RADPS,
-    Sensor,
-    VectorSensor,
-)
+from dune_rl.sensors.sensor import MAX_SENSED_SPEED_MPS, MAX_SENSED_TURN_RADPS, Sensor, VectorSensor
 from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.state import GroupState, State
 

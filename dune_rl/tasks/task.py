@@ -112,9 +112,8 @@ class Task:
     Rewards read the flags of `end` from the state (`GroupState.endings`).
 
     `needs_scan` tells whether a term reads `GroupState.nearest_return`, `needs_joints` whether one reads
-    `motion.joints`.
-    `reward_sums` (N, T) are the weighted sums of each reward term over the present episodes, and
-    `reward_names` (T) their names, `reward/NAME`.
+    `motion.joints`. `reward_sums` (N, T) are the weighted sums of each reward term over the present episodes,
+    and `reward_names` (T) their names, `reward/NAME`.
     """
 
     def __init__(self, conf: TaskConf, num_rows: int) -> None:

@@ -200,10 +200,7 @@ def _window(rows: int, columns: int, down: int, right: int, offset: tuple[int, i
     """The cells at `offset` from those that a step (`down`, `right`) can begin in."""
     first = max(0, -right)
     last_row, last_column = rows - down, columns - max(0, right)
-    return (
-        slice(offset[0], last_row + offset[0]),
-        slice(first + offset[1], last_column + offset[1]),
-    )
+    return (slice(offset[0], last_row + offset[0]), slice(first + offset[1], last_column + offset[1]))
 
 
 def shared_route_map(

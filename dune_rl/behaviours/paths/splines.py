@@ -144,9 +144,8 @@ def random_paths(
 ) -> list[Array]:
     """`count` random paths, each (P, 4), that keep `radius_m` from every obstacle.
 
-    Each runs through three free points drawn by `sample_points(rng, n,
-    radius_m)`. Raises WorldError, which names the path of the group's `settings`,
-    where obstacles leave no room for any.
+    Each runs through three free points drawn by `sample_points(rng, n, radius_m)`. Raises WorldError, which
+    names the path of the group's `settings`, where obstacles leave no room for any.
     """
     shortest, longest = length_range_m
     found: list[Array] = []

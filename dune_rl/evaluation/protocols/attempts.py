@@ -83,10 +83,7 @@ class AttemptRecorder:
     def _present(self, scene: int, outcome: str) -> Attempt:
         late = float(self._late_s[scene])
         return Attempt(
-            float(self._began_s[scene]),
-            float(self._now_s[scene]),
-            outcome,
-            None if np.isnan(late) else late,
+            float(self._began_s[scene]), float(self._now_s[scene]), outcome, None if np.isnan(late) else late
         )
 
 

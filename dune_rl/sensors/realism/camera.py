@@ -27,17 +27,14 @@ _MOST_GAIN = 8.0
 class CameraRealismConf(RealismConf):
     """Faults of a camera's pictures and depth; segments and normals stay as they are.
 
-    Each row of a picture is exposed for `shutter_s`, the lowest until now and
-    the highest `readout_s` before it (a rolling shutter). `gain` brightens it;
-    with `auto_exposure_s` the gain follows, with that time constant, what
-    brings the picture's mean to 18 % of white times `gain`. `full_well_e`
-    [electrons] is what a white pixel holds at a gain of 1, which gives shot
-    noise, and `read_noise_e` the noise of reading it. `dirt` is the share of
-    light that the worst of `smudges` smudges keeps off, elsewhere in each
-    episode. Depth z has noise of deviation `depth_noise_per_m` * z² and
-    steps of `depth_quantum_m`; it is lost at `depth_dropout` of the pixels,
-    nearer than `depth_near_m` and farther than `depth_far_m`, and reads
-    there what it does where nothing is seen.
+    Each row of a picture is exposed for `shutter_s`, the lowest until now and the highest `readout_s` before
+    it (a rolling shutter). `gain` brightens it; with `auto_exposure_s` the gain follows, with that time
+    constant, what brings the picture's mean to 18 % of white times `gain`. `full_well_e` [electrons] is what
+    a white pixel holds at a gain of 1, which gives shot noise, and `read_noise_e` the noise of reading it.
+    `dirt` is the share of light that the worst of `smudges` smudges keeps off, elsewhere in each episode.
+    Depth z has noise of deviation `depth_noise_per_m` * z² and steps of `depth_quantum_m`; it is lost at
+    `depth_dropout` of the pixels, nearer than `depth_near_m` and farther than `depth_far_m`, and reads there
+    what it does where nothing is seen.
     """
 
     kind = "camera"
@@ -105,11 +102,10 @@ class CameraRealismConf(RealismConf):
 class CameraFaults:
     """A camera's sensor with the faults of `conf`, without rate and latency, which are any sensor's.
 
-    In the order of a camera, in linear light: dirt on the lens, motion while
-    the shutter is open, exposure, shot and read noise, bytes. Between two
-    control steps light is taken to change evenly, pixel by pixel: a row is
-    the mean of that over its time. What moves by many pixels in a control
-    step is seen twice rather than smeared.
+    In the order of a camera, in linear light: dirt on the lens, motion while the shutter is open, exposure,
+    shot and read noise, bytes. Between two control steps light is taken to change evenly, pixel by pixel: a
+    row is the mean of that over its time. What moves by many pixels in a control step is seen twice rather
+    than smeared.
     """
 
     def __init__(self, sensor: Sensor, conf: CameraRealismConf, num_rows: int, step_s: float) -> None:

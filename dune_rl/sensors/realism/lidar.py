@@ -17,12 +17,10 @@ _FLAT = 0.1
 class LidarRealismConf(RealismConf):
     """Faults of each beam.
 
-    A range has noise of deviation `noise_m` + `noise_share` * range, and steps
-    of `quantum_m`. `dropout` of the beams return nothing. Of those that meet
-    something head-on at `half_return_m`, half return; the share falls with
-    the light that comes back, which goes as reflectance * cos(slant) /
-    range². `reflectance` is relative to what `half_return_m` is stated for,
-    one number between the two for each episode.
+    A range has noise of deviation `noise_m` + `noise_share` * range, and steps of `quantum_m`. `dropout` of
+    the beams return nothing. Of those that meet something head-on at `half_return_m`, half return; the share
+    falls with the light that comes back, which goes as reflectance * cos(slant) / range². `reflectance` is
+    relative to what `half_return_m` is stated for, one number between the two for each episode.
     """
 
     kind = "lidar"
@@ -57,11 +55,7 @@ class BeamFaults:
     """Ranges as a real LiDAR gives them; they depend on the true ones and on the moment alone."""
 
     def __init__(
-        self,
-        conf: LidarRealismConf,
-        limits_m: tuple[float, float],
-        name: str,
-        bearings: Array | None = None,
+        self, conf: LidarRealismConf, limits_m: tuple[float, float], name: str, bearings: Array | None = None
     ) -> None:
         """For ranges between two `limits_m`; `name` tells the draws of several sensors apart.
 
@@ -108,9 +102,8 @@ class BeamFaults:
     def _return_share(self, ranges: Floats, now: GroupState) -> Floats:
         """Share (M, n_beams) of beams that return.
 
-        Photons come back at random (a Poisson process), and one is enough:
-        1 - 2^-(reflectance * cos(slant) * (half_return_m / range)²), in the
-        far nearly proportional to 1 / range². After the LiDAR equation for
+        Photons come back at random (a Poisson process), and one is enough: 1 - 2^-(reflectance * cos(slant) *
+        (half_return_m / range)²), in the far nearly proportional to 1 / range². After the LiDAR equation for
         something matt that fills the beam.
         """
         conf = self._conf
@@ -131,9 +124,8 @@ class BeamFaults:
     def _cos_slant(self, near: Floats) -> Floats:
         """Cosine (M, n_beams) of the angle at which beams of inverse range `near` meet what they meet.
 
-        Along a straight wall, inverse range is a sine of the bearing: its
-        neighbours tell both whether it is one and how it slants. What is not
-        flat, or seen by a single beam, counts as met head-on.
+        Along a straight wall, inverse range is a sine of the bearing: its neighbours tell both whether it is
+        one and how it slants. What is not flat, or seen by a single beam, counts as met head-on.
         """
         head_on = np.ones_like(near)
         if not self._slanted:

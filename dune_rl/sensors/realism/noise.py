@@ -24,12 +24,10 @@ _GAUSS_MARKOV_PEAK = 0.6174
 class NoiseConf(Settings):
     """Faults of one quantity, in its own unit (called u here); all are deviations, and 0 is none.
 
-    `noise_density` [u/√Hz] is white noise N, whatever the rate; `noise` [u]
-    is white noise of each reading. `bias` [u] is constant over an episode,
-    `bias_instability` [u] is the floor of the Allan deviation that data
-    sheets state, given by a bias that wanders with `bias_correlation_s`, and
-    `bias_walk` [u/s/√Hz] is the random walk K that starts at 0 with an
-    episode. `quantum` [u] is the step between two values.
+    `noise_density` [u/√Hz] is white noise N, whatever the rate; `noise` [u] is white noise of each reading.
+    `bias` [u] is constant over an episode, `bias_instability` [u] is the floor of the Allan deviation that
+    data sheets state, given by a bias that wanders with `bias_correlation_s`, and `bias_walk` [u/s/√Hz] is
+    the random walk K that starts at 0 with an episode. `quantum` [u] is the step between two values.
     """
 
     wraps: ClassVar[bool] = False
@@ -60,9 +58,8 @@ class AngleNoiseConf(NoiseConf):
 class Faults:
     """Noise, biases and steps of the reading `name` within `bounds`, read every `period_s` in M scenes.
 
-    White noise of density N has the deviation N/√period; a random walk K
-    grows by a normal number of K√period; a Gauss-Markov bias keeps
-    exp(-period/correlation) of itself (IEEE Std 952-1997, annex C).
+    White noise of density N has the deviation N/√period; a random walk K grows by a normal number of
+    K√period; a Gauss-Markov bias keeps exp(-period/correlation) of itself (IEEE Std 952-1997, annex C).
     """
 
     def __init__(

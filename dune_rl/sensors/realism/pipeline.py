@@ -20,10 +20,9 @@ _ALL: Rows = slice(None)
 class RealismConf(Settings):
     """Rate and latency of a sensor; classes derived from this add its own faults.
 
-    Without `rate_hz` it reads each control step, with it at the beginning of
-    an episode and from then on at that rate, which must divide the control
-    rate. A reading arrives `latency_s` late, a whole number of control steps;
-    until then the first reading of the episode is given.
+    Without `rate_hz` it reads each control step, with it at the beginning of an episode and from then on at
+    that rate, which must divide the control rate. A reading arrives `latency_s` late, a whole number of
+    control steps; until then the first reading of the episode is given.
 
     Classes for a `kind` of part take the name of one: alone ("bno055"), or as
     `preset` beside settings that differ. "perfect" has no faults at all.
@@ -208,10 +207,9 @@ class PositionRealismConf(RealismConf):
 class Realism:
     """A sensor seen through the faults of `conf`; within its bounds and of its types.
 
-    The stages follow one another as in an instrument: a reading is taken at
-    the rate; biases and noise are added; it falls on a step between values
-    and is held to the range; it arrives late, and is held until the next.
-    What is random depends on the seed, the episode and its step alone.
+    The stages follow one another as in an instrument: a reading is taken at the rate; biases and noise are
+    added; it falls on a step between values and is held to the range; it arrives late, and is held until the
+    next. What is random depends on the seed, the episode and its step alone.
     """
 
     def __init__(self, sensor: Sensor, conf: RealismConf, num_rows: int, step_s: float) -> None:
