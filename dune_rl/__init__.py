@@ -209,7 +209,7 @@ def sensor_bounds(
 
     def decorate(function: Function) -> Function:
         # Only now: `dune_rl` itself must import fast.
-        from dune_rl.sensors.function_sensor import ReadingBounds
+        from dune_rl.sensors.registry import ReadingBounds
 
         function.sensor_bounds = ReadingBounds(low, high, size)  # type: ignore[attr-defined]
         return function

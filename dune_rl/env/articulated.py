@@ -18,7 +18,7 @@ from dune_rl.physics.interface import PhysicsConf, PhysicsRobot, PhysicsScene
 from dune_rl.rendering.moving_mesh import MovingMesh, PosedMesh
 from dune_rl.robots.robot import BodyMotion, Robot
 from dune_rl.robots.visual import RobotVisual, robot_mesh
-from dune_rl.sensors.odometry import DriveGeometry
+from dune_rl.sensors.wheels import DriveGeometry
 from dune_rl.state.body_description import BodyDescription
 from dune_rl.state.sensor_carrier import SensorCarrier, WheelMotion
 from dune_rl.state.state import EnergyState, JointState, Motion

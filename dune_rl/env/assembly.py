@@ -22,7 +22,7 @@ from dune_rl.env.starts.source import StartSource
 from dune_rl.env.state_builder import StateBuilder
 from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.sensors.context import SensorContext
-from dune_rl.sensors.measuring_scan import MeasuringScan
+from dune_rl.sensors.lidar import MeasuringScan
 from dune_rl.sensors.suite import SensorSuite
 from dune_rl.tasks.registry import START_SOURCES
 from dune_rl.tasks.spawn import SpawnConf

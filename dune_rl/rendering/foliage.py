@@ -43,6 +43,9 @@ class Foliage:
     `extinction` [1/m] times density, and `beam_extinction` for LiDAR beams.
     """
 
+    # Whether there is no grass at all.
+    none = False
+
     def __init__(
         self,
         terrain: HeightField,

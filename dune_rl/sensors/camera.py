@@ -13,8 +13,8 @@ from dune_rl.rendering.baked_scenery import BakedScenery
 from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.rendering.participating_media import ParticipatingMedia
 from dune_rl.rendering.scenery import Segment
+from dune_rl.sensors.beams import columns_by_mesh
 from dune_rl.sensors.lens import Lens, LensConf
-from dune_rl.sensors.mesh_columns import columns_by_mesh
 from dune_rl.sensors.pixels import depths_along_axis, look_up_colours, tile_order, unpack_colours
 from dune_rl.sensors.realism.camera import CameraRealismConf
 from dune_rl.sensors.realism.presets import PARTS

@@ -12,12 +12,6 @@ from dune_rl.sensors.settings import SensorSettings
 _DEFAULT = ("lidar", "lidar_past", "imu", "goal", "velocity")
 _ENABLED = "enabled"
 _PAST = "_past"
-# What stood beside the sensors before each had settings of its own.
-_FORMER = {
-    "named": "sensors.NAME={sensor: KIND, ...}",
-    "realism": "sensors.NAME.realism=...",
-    "past_s": "sensors.lidar_past.past_s=...",
-}
 
 
 def read_entries(value: Any) -> Any:
@@ -31,20 +25,12 @@ def read_entries(value: Any) -> Any:
         value = {_ENABLED: value}
     if not isinstance(value, Mapping):
         return value
-    for former, present in _FORMER.items():
-        if former in value:
-            raise ValueError(f"there is no {former}: write {present}")
-    entries: dict[str, Any] = SENSORS.tag_entries(
-        {key: each for key, each in value.items() if key != _ENABLED}
-    )
+    others = {key: each for key, each in value.items() if key != _ENABLED}
+    entries: dict[str, Any] = SENSORS.tag_entries(others)
     if _ENABLED not in value:
         return entries
     names = value[_ENABLED]
-    if (
-        isinstance(names, str)
-        or not isinstance(names, Sequence)
-        or not all(isinstance(n, str) for n in names)
-    ):
+    if not isinstance(names, list | tuple) or not all(isinstance(each, str) for each in names):
         raise ValueError(f"{_ENABLED} must be a list of the names of sensors (got {names!r})")
     listed = {name: entries.pop(name) if name in entries else _entry(name, entries) for name in names}
     return {

@@ -6,9 +6,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from dune_rl.geometry.arrays import Array, Floats
-from dune_rl.rendering.foliage import BatchedFoliage
+from dune_rl.sensors.beams import Beams, Elevation, FieldOfView, LargestRange, check_elevations, fan
 from dune_rl.sensors.context import SensorContext
-from dune_rl.sensors.lidar import Beams, check_elevations, fan
 from dune_rl.sensors.realism.noise import NoiseConf
 from dune_rl.sensors.realism.pipeline import ReadingRealismConf
 from dune_rl.sensors.sensor import MOUNT, Mount, VectorSensor
@@ -30,14 +29,10 @@ class DepthStripConf(SensorSettings):
     sensor: Literal["depth_strip"] = "depth_strip"
     columns: int = Field(32, ge=1, le=4096, description="bearings, each the nearest of a fan of rays")
     rows: int = Field(4, ge=1, le=256, description="rays of a fan")
-    fov_deg: float = Field(
-        86.0, gt=0.0, le=360.0, description="angle that the columns span, centred ahead [deg]"
-    )
-    lowest_elevation_deg: float = Field(
-        -3.4, ge=-90.0, le=90.0, description="of a fan; keeps level ground just out of range [deg]"
-    )
-    highest_elevation_deg: float = Field(13.8, ge=-90.0, le=90.0, description="of a fan [deg]")
-    range_m: float = Field(5.0, gt=0.0, le=1_000.0, description="largest reading [m]")
+    fov_deg: FieldOfView = 86.0
+    lowest_elevation_deg: Elevation = Field(-3.4, description="keeps level ground just out of range [deg]")
+    highest_elevation_deg: Elevation = Field(13.8, description="of a fan [deg]")
+    range_m: LargestRange = 5.0
     mount_b: Mount = MOUNT
 
     @model_validator(mode="after")
@@ -64,7 +59,7 @@ class DepthStrip(VectorSensor):
         self._level = np.cos(elevation)[:, None].astype(np.float32)
         directions_b = fan(bearing, elevation).reshape(-1, 3)
         self._beams = Beams(directions_b, conf.mount_b, conf.range_m, context.solid, context.meshes)
-        high = np.full(conf.columns, conf.range_m, np.float32)
+        high = np.full(conf.columns, conf.range_m)
         super().__init__(name, context.num_rows, np.zeros_like(high), high)
 
     def measure(self, now: GroupState, state: State) -> None:
@@ -78,9 +73,7 @@ class DepthStrip(VectorSensor):
         """
         conf = self.conf
         ranges = self._beams.ranges(position_w, rotation, neighbours)
-        if self._foliage is not None and not (
-            isinstance(self._foliage, BatchedFoliage) and self._foliage.none
-        ):
+        if self._foliage is not None and not self._foliage.none:
             origins = self._beams.origin(position_w, rotation).astype(np.float32)
             directions = (self._beams.directions_b @ rotation.transpose(0, 2, 1)).astype(np.float32)
             met = self._foliage.median_ranges(origins, directions.reshape(-1, 3), ranges.ravel())

@@ -9,36 +9,45 @@ from pydantic import Field, model_validator
 from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.geometry.shared_per_scene import AnyRays
 from dune_rl.rendering.moving_mesh import MovingMesh
-from dune_rl.sensors.beam_loops import find_ends, nearest_in_segments, turn_beams
-from dune_rl.sensors.mesh_columns import columns_by_mesh
-from dune_rl.sensors.realism.lidar import LidarRealismConf
-from dune_rl.sensors.sensor import MOUNT, Mount, mount_position
+from dune_rl.sensors.beam_loops import find_ends, nearest_in_segments
+from dune_rl.sensors.beams import Beams, FieldOfView, LargestRange, bearings, fan
+from dune_rl.sensors.context import SensorContext
+from dune_rl.sensors.medium import RangeEffect, effects_of
+from dune_rl.sensors.realism.lidar import BeamFaults, LidarRealismConf
+from dune_rl.sensors.sensor import MOUNT, Mount, VectorSensor
 from dune_rl.sensors.settings import SensorSettings
+from dune_rl.state.state import GroupState, Motion, State
 
 # Farther than any LiDAR sees.
 _NOWHERE_M = 1e6
 
 
-class LidarConf(SensorSettings):
-    """Beams, range and mount. The defaults are the paper's: 128 beams round the rover, 32 values, 12 m."""
+class ScannerConf(SensorSettings):
+    """Range, field of view and mount of a LiDAR."""
 
     from_carrier: ClassVar = {"mount_b": "scanner_b"}
+
+    realism: LidarRealismConf | None = None
+    range_m: LargestRange = 12.0
+    min_range_m: float = Field(0.1, ge=0.0, description="smallest reading [m]")
+    fov_deg: FieldOfView = 360.0
+    mount_b: Mount = MOUNT
+
+    @model_validator(mode="after")
+    def _rising_range(self) -> Self:
+        if self.min_range_m >= self.range_m:
+            raise ValueError(f"min_range_m ({self.min_range_m}) must be less than range_m ({self.range_m})")
+        return self
+
+
+class LidarConf(ScannerConf):
+    """Beams, range and mount. The defaults are the paper's: 128 beams round the rover, 32 values, 12 m."""
+
     default_realism: ClassVar = LidarRealismConf.model_validate("rplidar_a2m8")
 
     sensor: Literal["lidar"] = "lidar"
-    realism: LidarRealismConf | None = None
     n_beams: int = Field(128, ge=1, le=16_384, description="beams of a scan")
-    n_segments: int = Field(
-        32, ge=1, le=16_384, description="values observed: the nearest return of equal runs of beams"
-    )
-    range_m: float = Field(
-        12.0, gt=0.0, le=1_000.0, description="largest reading, and the reading where nothing is hit [m]"
-    )
-    min_range_m: float = Field(0.1, ge=0.0, description="smallest reading [m]")
-    fov_deg: float = Field(
-        360.0, gt=0.0, le=360.0, description="angle that the scan spans, centred ahead [deg]"
-    )
-    mount_b: Mount = MOUNT
+    n_segments: int = Field(32, ge=1, le=16_384, description="values observed: nearest returns of beams")
 
     @model_validator(mode="after")
     def _even_segments(self) -> Self:
@@ -46,9 +55,11 @@ class LidarConf(SensorSettings):
             raise ValueError(
                 f"n_segments must divide n_beams ({self.n_segments} does not divide {self.n_beams})"
             )
-        if self.min_range_m >= self.range_m:
-            raise ValueError(f"min_range_m ({self.min_range_m}) must be less than range_m ({self.range_m})")
         return self
+
+
+# Of the paper's published code: 20 beams for each of the 32 segments that its agents see.
+DUNE_CODE_LIDAR = LidarConf(n_beams=640, n_segments=32, range_m=10.0, min_range_m=0.15)
 
 
 def beam_angles(conf: LidarConf) -> Array:
@@ -56,100 +67,19 @@ def beam_angles(conf: LidarConf) -> Array:
     return bearings(float(np.deg2rad(conf.fov_deg)), conf.n_beams)
 
 
-def bearings(fov_rad: float, count: int) -> Array:
-    """Bearings (count,) [rad] in the sensor frame, counter-clockwise from -fov/2.
-
-    A full circle leaves out its last beam, which would repeat the first.
-    """
-    full_circle = np.isclose(fov_rad, 2 * np.pi)
-    return np.linspace(-fov_rad / 2, fov_rad / 2, count, endpoint=not full_circle)
-
-
-def fan(bearing: Array, elevation: Array) -> Array:
-    """Unit vectors (E, B, 3) at bearings (B,) and elevations (E,) [rad].
-
-    Sensor frame: x forward, y left, z up.
-    """
-    level, up = np.cos(elevation)[:, None], np.sin(elevation)[:, None]
-    axes = [level * np.cos(bearing), level * np.sin(bearing), np.broadcast_to(up, (len(up), len(bearing)))]
-    return np.stack(axes, axis=-1)
-
-
-def check_elevations(lowest_deg: float, highest_deg: float, name: str, count: int) -> None:
-    """Raise ValueError unless both can bound a fan of `count` elevations, which the setting `name` tells."""
-    sound = lowest_deg < highest_deg if count > 1 else lowest_deg == highest_deg
-    if not sound:
-        rule = "must be less than" if count > 1 else "must equal"
-        raise ValueError(
-            f"lowest_elevation_deg ({lowest_deg:g}) {rule} highest_elevation_deg ({highest_deg:g}) "
-            f"where {name}={count}"
-        )
-
-
-class Beams:
-    """Rays from a mount on N robots, cast at the static world and at the moving bodies of each scene.
-
-    `directions_b` (P, 3) are unit vectors and `mount_b` (3,) [m] is where they start, both in the body frame.
-    `meshes` are those of the other moving bodies, one for each column of `neighbours`.
-    """
-
-    def __init__(
-        self,
-        directions_b: Array,
-        mount_b: Mount,
-        range_m: float,
-        static: AnyRays,
-        meshes: Sequence[MovingMesh],
-    ) -> None:
-        self.directions_b = directions_b
-        self._mount_b = mount_position(mount_b)
-        self._range_m = range_m
-        self._static = static
-        self._meshes = columns_by_mesh(meshes)
-
-    def origin(self, position_w: Array, rotation: Array) -> Array:
-        """Where the rays start [m], (M, 3), on robots at `position_w` (M, 3) turned by `rotation`."""
-        return position_w + rotation @ self._mount_b
-
-    def ranges(self, position_w: Array, rotation: Array, neighbours: Array) -> Floats:
-        """Range along every ray [m], (N, P): `range_m` where nothing returns.
-
-        `position_w` (N, 3) and `rotation` (N, 3, 3) are the robots' poses, `neighbours` (N, K, 7) the
-        poses of the other moving bodies: see `GroupState.neighbours`.
-        """
-        rows, count = len(position_w), len(self.directions_b)
-        origin = self.origin(position_w, rotation)
-        directions = np.empty((rows, count, 3))
-        directions32 = np.empty((rows, count, 3), np.float32)
-        turn_beams(self.directions_b, rotation, directions, directions32)
-        ranges = np.full((rows, count), self._range_m, np.float32)
-        self._static.shorten_ranges(
-            origin.astype(np.float32), directions32.reshape(-1, 3), ranges.reshape(-1)
-        )
-        for mesh, columns in self._meshes:
-            poses = neighbours if len(self._meshes) == 1 else neighbours[:, columns]
-            mesh.shorten_ranges(origin, directions, poses, self._range_m, ranges)
-        return ranges
-
-
-class Lidar:
+class Lidar(Beams):
     """Ranges of N robots in M scenes, which differ in their moving bodies and, batched, in the static world.
 
-    `meshes` are those of the other moving bodies, one for each column of `neighbours`. Unit vectors along
-    the beams in the body frame are `directions_b` (n_beams, 3).
+    Unit vectors along the beams in the body frame are `directions_b` (n_beams, 3).
     """
 
     def __init__(self, conf: LidarConf, static: AnyRays, meshes: Sequence[MovingMesh]) -> None:
+        directions_b = fan(beam_angles(conf), np.zeros(1))[0]
+        super().__init__(directions_b, conf.mount_b, conf.range_m, static, meshes)
         self.conf = conf
-        self.directions_b = fan(beam_angles(conf), np.zeros(1))[0]
-        self._beams = Beams(self.directions_b, conf.mount_b, conf.range_m, static, meshes)
-
-    def origin(self, position_w: Array, rotation: Array) -> Array:
-        """Where the beams start [m], (M, 3), on robots at `position_w` (M, 3) turned by `rotation`."""
-        return self._beams.origin(position_w, rotation)
 
     def store_ends(self, origin: Array, rotation: Array, ranges: Floats, found: Floats) -> None:
-        """Write where beams of `ranges` (M, n_beams) end in the world [m] into `found` (M, n_beams, 3).
+        """Write where beams of `ranges` (N, n_beams) end in the world [m] into `found` (N, n_beams, 3).
 
         A beam that meets nothing ends far away, not as a wall at its range.
         """
@@ -157,16 +87,57 @@ class Lidar:
         find_ends(self.directions_b, ranges, limits, origin, rotation, found)
 
     def ranges(self, position_w: Array, rotation: Array, neighbours: Array) -> Floats:
-        """Range along every beam [m], (M, n_beams): `range_m` where nothing returns.
-
-        `position_w` (M, 3) and `rotation` (M, 3, 3) are the robots' poses,
-        `neighbours` (M, K, 7) the actors' poses.
-        """
-        ranges = self._beams.ranges(position_w, rotation, neighbours)
+        """As `Beams.ranges`, at least `min_range_m`."""
+        ranges = super().ranges(position_w, rotation, neighbours)
         return np.maximum(ranges, np.float32(self.conf.min_range_m), out=ranges)
 
     def segments(self, ranges: Floats) -> Floats:
-        """Nearest return of each segment of neighbouring beams [m], (M, n_segments)."""
+        """Nearest return of each segment of neighbouring beams [m], (N, n_segments)."""
         nearest = np.empty((len(ranges), self.conf.n_segments), np.float32)
         nearest_in_segments(ranges, nearest)
         return nearest
+
+
+class LidarSensor(VectorSensor):
+    """The reading `name`, (N, n_segments) [m]: the nearest return of each segment of a scan.
+
+    `lidar` is its geometry. `ranges` (N, n_beams) [m] are those of the latest scan, with what beams meet in
+    the air and the faults of a real device.
+    """
+
+    def __init__(self, name: str, context: SensorContext, conf: LidarConf) -> None:
+        limits_m = conf.min_range_m, conf.range_m
+        super().__init__(name, context.num_rows, *(np.full(conf.n_segments, limit) for limit in limits_m))
+        self.lidar = Lidar(conf, context.solid, context.meshes)
+        self._effects: list[RangeEffect] = [
+            *effects_of(context.air, name, self.lidar.directions_b, conf.mount_b, limits_m)
+        ]
+        if conf.realism is not None:
+            self._effects.append(BeamFaults(conf.realism, limits_m, name, beam_angles(conf)))
+        self.ranges: Floats = np.zeros((context.num_rows, conf.n_beams), np.float32)
+
+    def measure(self, now: GroupState, state: State) -> None:
+        """Scan once more."""
+        self.ranges = self.lidar.ranges(now.motion.position_w, now.motion.rotation, now.neighbours)
+        for effect in self._effects:
+            self.ranges = effect.applied(self.ranges, now)
+        self._reading = self.lidar.segments(self.ranges)
+
+
+class MeasuringScan:
+    """The LiDAR of the paper's published code, which measures for terms; see `dune_rl.state.ScanQueries`.
+
+    A return that is nearer than the smallest range is none, as in Gazebo, which reports it as -inf.
+    """
+
+    def __init__(self, context: SensorContext, conf: LidarConf = DUNE_CODE_LIDAR) -> None:
+        self._conf = conf
+        directions, mount_b = fan(beam_angles(conf), np.zeros(1))[0], context.carrier.scanner_b
+        self._beams = Beams(directions, mount_b, conf.range_m, context.solid, context.meshes)
+
+    def nearest_return(self, motion: Motion, neighbours: Array) -> Array:
+        """Smallest range [m], (N,), of the beams that return; NaN where none does."""
+        ranges = self._beams.ranges(motion.position_w, motion.rotation, neighbours)
+        seen = (ranges >= self._conf.min_range_m) & (ranges < self._conf.range_m)
+        nearest = np.where(seen, ranges, np.inf).min(axis=1).astype(np.float64)
+        return np.where(np.isfinite(nearest), nearest, np.nan)

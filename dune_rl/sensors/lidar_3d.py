@@ -6,49 +6,44 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from dune_rl.geometry.arrays import Array, Flags, Floats
+from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.geometry.shared_per_scene import BatchedRayScenes
 from dune_rl.rendering.scenery import Segment, luminance
+from dune_rl.sensors.beams import (
+    Elevation,
+    LargestRange,
+    bearings,
+    check_elevations,
+    columns_by_mesh,
+    fan,
+)
 from dune_rl.sensors.context import SensorContext
-from dune_rl.sensors.lidar import bearings, check_elevations, fan
-from dune_rl.sensors.medium import effects_of
-from dune_rl.sensors.mesh_columns import columns_by_mesh
+from dune_rl.sensors.lidar import ScannerConf
+from dune_rl.sensors.medium import RangeEffect, effects_of
 from dune_rl.sensors.realism.lidar import BeamFaults, LidarRealismConf
-from dune_rl.sensors.sensor import MOUNT, Bounds, Mount, Reading, mount_position
-from dune_rl.sensors.settings import SensorSettings
-from dune_rl.state.state import GroupState, State
+from dune_rl.sensors.sensor import PictureSensor, Reading, mount_position
+from dune_rl.state.state import GroupState
 
 Indices = NDArray[np.int64]
 
 Lidar3dOutput = Literal["range", "intensity", "segmentation"]
 
 
-class Lidar3dConf(SensorSettings):
+class Lidar3dConf(ScannerConf):
     """Rings, beams, range and mount. The defaults are like a common sensor of 16 rings over 30 degrees.
 
     At `half_intensity_m` a return is half as bright as close by.
     """
 
-    from_carrier: ClassVar = {"mount_b": "scanner_b"}
     default_realism: ClassVar = LidarRealismConf.model_validate("velodyne_vlp16")
 
     sensor: Literal["lidar_3d"] = "lidar_3d"
-    realism: LidarRealismConf | None = None
+    range_m: LargestRange = 30.0
     n_rings: int = Field(16, ge=1, le=256, description="from the highest to the lowest")
     n_beams: int = Field(512, ge=1, le=16_384, description="of a ring")
-    lowest_elevation_deg: float = Field(-15.0, ge=-90.0, le=90.0, description="of the lowest ring [deg]")
-    highest_elevation_deg: float = Field(15.0, ge=-90.0, le=90.0, description="of the highest [deg]")
-    range_m: float = Field(
-        30.0, gt=0.0, le=1_000.0, description="largest reading, and the reading where nothing returns [m]"
-    )
-    min_range_m: float = Field(0.1, ge=0.0, description="smallest reading [m]")
-    fov_deg: float = Field(
-        360.0, gt=0.0, le=360.0, description="angle that a ring spans, centred ahead [deg]"
-    )
-    half_intensity_m: float = Field(
-        10.0, gt=0.0, le=1_000.0, description="where a return is half as bright as close by [m]"
-    )
-    mount_b: Mount = MOUNT
+    lowest_elevation_deg: Elevation = Field(-15.0, description="of the lowest ring [deg]")
+    highest_elevation_deg: Elevation = Field(15.0, description="of the highest [deg]")
+    half_intensity_m: float = Field(10.0, gt=0.0, le=1_000.0, description="of half the brightness [m]")
     outputs: tuple[Lidar3dOutput, ...] = Field(
         ("range",), min_length=1, description="of range, intensity and segmentation"
     )
@@ -56,14 +51,12 @@ class Lidar3dConf(SensorSettings):
     @model_validator(mode="after")
     def _sound(self) -> Self:
         check_elevations(self.lowest_elevation_deg, self.highest_elevation_deg, "n_rings", self.n_rings)
-        if self.min_range_m >= self.range_m:
-            raise ValueError(f"min_range_m ({self.min_range_m}) must be less than range_m ({self.range_m})")
         if len(set(self.outputs)) < len(self.outputs):
             raise ValueError(f"outputs must differ from each other (got {list(self.outputs)})")
         return self
 
 
-class Lidar3d:
+class Lidar3d(PictureSensor):
     """The readings "<name>_<output>", (N, n_rings, n_beams, 1).
 
     The first ring is the highest; beams run counter-clockwise from -fov/2, as those of the planar LiDAR.
@@ -77,87 +70,60 @@ class Lidar3d:
     """
 
     def __init__(self, name: str, context: SensorContext, conf: Lidar3dConf) -> None:
-        self.conf = conf
-        self._name, self._num_rows = name, context.num_rows
+        limits_m = (conf.min_range_m, conf.range_m)
+        limits: dict[str, tuple[int, float, float, type]] = {
+            "range": (1, *limits_m, np.float32),
+            "intensity": (1, 0.0, 1.0, np.float32),
+            "segmentation": (1, 0, max(Segment), np.uint8),
+        }
+        shape = (conf.n_rings, conf.n_beams)
+        super().__init__(name, context.num_rows, shape, {each: limits[each] for each in conf.outputs})
+        self.conf, self._num_rows = conf, context.num_rows
         self._solid, self._surface = context.solid, context.surfaces
         self._groups = columns_by_mesh(context.meshes)
         self._brightness = [luminance(mesh.albedo) for mesh, _ in self._groups]
-        highest, lowest, fov = np.deg2rad(
-            [conf.highest_elevation_deg, conf.lowest_elevation_deg, conf.fov_deg]
-        )
+        ends_deg = [conf.highest_elevation_deg, conf.lowest_elevation_deg, conf.fov_deg]
+        highest, lowest, fov = np.deg2rad(ends_deg)
         elevation = np.linspace(highest, lowest, conf.n_rings)
-        directions = fan(bearings(fov, conf.n_beams), elevation).reshape(-1, 3)
-        self._directions_b = directions.astype(np.float32)
+        self._directions_b = fan(bearings(fov, conf.n_beams), elevation).reshape(-1, 3).astype(np.float32)
         self._order = np.arange(len(self._directions_b))
-        limits_m = (conf.min_range_m, conf.range_m)
         draws_name = name.replace("_", " ")
-        self._faults = None if conf.realism is None else BeamFaults(conf.realism, limits_m, draws_name)
-        self._effects = effects_of(context.air, draws_name, self._directions_b, conf.mount_b, limits_m)
+        self._effects: list[RangeEffect] = [
+            *effects_of(context.air, draws_name, self._directions_b, conf.mount_b, limits_m)
+        ]
+        if conf.realism is not None:
+            self._effects.append(BeamFaults(conf.realism, limits_m, draws_name))
         self._range_only = conf.outputs == ("range",)
-        self._readings: dict[str, Reading] = {
-            name: np.zeros((context.num_rows, *low.shape), low.dtype)
-            for name, (low, _) in self.bounds().items()
-        }
 
-    def bounds(self) -> dict[str, Bounds]:
-        """Metres between both ranges, shares of 1, and bytes."""
-        conf = self.conf
-        limits: dict[str, tuple[float, float, type]] = {
-            "range": (conf.min_range_m, conf.range_m, np.float32),
-            "intensity": (0.0, 1.0, np.float32),
-            "segmentation": (0, max(Segment), np.uint8),
-        }
-        shape = (conf.n_rings, conf.n_beams, 1)
-        return {
-            f"{self._name}_{name}": (np.full(shape, low, kind), np.full(shape, high, kind))
-            for name, (low, high, kind) in ((name, limits[name]) for name in conf.outputs)
-        }
-
-    def begin(self, mask: Flags, now: GroupState, state: State) -> None:
-        """Scan in the scenes in `mask` (M,); the others keep their scans."""
-        rows = np.flatnonzero(mask)
-        if not len(rows):
-            return
-        if self._effects or self._faults is not None:
-            found = {name: values[rows] for name, values in self._scan_at(now).items()}
-        else:
-            motion = now.motion
-            cast = self._cast(motion.position_w[rows], motion.rotation[rows], now.neighbours[rows], rows)
-            found = self._outputs(*cast)
-        for name, values in found.items():
-            self._readings[name][rows] = values
-
-    def measure(self, now: GroupState, state: State) -> None:
-        """Scan again."""
-        self._readings = self._scan_at(now)
-
-    def read(self) -> dict[str, Reading]:
-        """The latest scans."""
-        return {name: values.copy() for name, values in self._readings.items()}
+    def _look(self, rows: Indices | None, now: GroupState) -> dict[str, Reading]:
+        motion = now.motion
+        if rows is None:
+            return self._scan_at(now)
+        if self._effects:
+            return {name: values[rows] for name, values in self._scan_at(now).items()}
+        cast = self._cast(motion.position_w[rows], motion.rotation[rows], now.neighbours[rows], rows)
+        return self._outputs(*cast)
 
     def scan(self, position_w: Array, rotation: Array, neighbours: Array) -> dict[str, Reading]:
         """The readings in clear air of rovers at `position_w` (M, 3) [m], turned by `rotation` (M, 3, 3).
 
         `neighbours` (M, K, 7) are the poses of the actors: see `GroupState.neighbours`.
         """
-        return self._outputs(*self._cast(position_w, rotation, neighbours))
+        found = self._outputs(*self._cast(position_w, rotation, neighbours))
+        return {f"{self._name}_{name}": values for name, values in found.items()}
 
     def _scan_at(self, now: GroupState) -> dict[str, Reading]:
         """The readings, with what beams meet in the air."""
         ranges, brightness, segments = self._cast(now.motion.position_w, now.motion.rotation, now.neighbours)
+        farthest = np.float32(self.conf.range_m)
         for effect in self._effects:
             seen = effect.applied(ranges, now)
             if not self._range_only:
-                changed = seen != ranges
-                lost = seen[changed] >= np.float32(self.conf.range_m)
-                segments[changed] = np.where(lost, np.uint8(Segment.SKY), np.uint8(effect.segment))
-                brightness[changed] = np.where(lost, np.float32(0.0), np.float32(effect.luminance))
-            ranges = seen
-        if self._faults is not None:
-            seen = self._faults.applied(ranges, now)
-            if not self._range_only:
-                lost = (seen >= np.float32(self.conf.range_m)) & (ranges < np.float32(self.conf.range_m))
+                lost = (seen >= farthest) & (ranges < farthest)
                 segments[lost], brightness[lost] = Segment.SKY, 0.0
+                if effect.segment is not None:
+                    ended = (seen != ranges) & ~lost
+                    segments[ended], brightness[ended] = effect.segment, np.float32(effect.luminance)
             ranges = seen
         return self._outputs(ranges, brightness, segments)
 
@@ -212,7 +178,7 @@ class Lidar3d:
                 values = brightness / (1.0 + np.square(ranges / np.float32(conf.half_intensity_m)))
             else:
                 values = segments
-            found[f"{self._name}_{name}"] = values.reshape(len(ranges), conf.n_rings, conf.n_beams, 1)
+            found[name] = values.reshape(len(ranges), conf.n_rings, conf.n_beams, 1)
         return found
 
 

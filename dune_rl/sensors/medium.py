@@ -24,7 +24,17 @@ _HAZE_LUMINANCE = 0.05
 
 
 class RangeEffect(Protocol):
-    """Something that changes ranges."""
+    """Something that changes ranges; what it ends has a `segment`, None where things stay as they are."""
+
+    @property
+    def segment(self) -> Segment | None:
+        """The segment of what ends a beam earlier."""
+        ...
+
+    @property
+    def luminance(self) -> float:
+        """Brightness of what ends a beam earlier."""
+        ...
 
     def applied(self, ranges: Floats, now: GroupState) -> Floats:
         """`ranges` (M, N) [m] of N beams on each rover, as they are then; they depend on the moment alone."""
@@ -46,7 +56,7 @@ class InHaze:
     there.
     """
 
-    segment = Segment.SKY
+    segment: Segment | None = Segment.SKY
     luminance = _HAZE_LUMINANCE
 
     def __init__(self, extinction: float, name: str, range_m: float, min_range_m: float) -> None:
@@ -86,7 +96,7 @@ class InGrass:
     Each step draws anew how deep a beam goes, as blades that move in the wind would have it.
     """
 
-    segment = Segment.VEGETATION
+    segment: Segment | None = Segment.VEGETATION
 
     def __init__(
         self,
@@ -102,7 +112,7 @@ class InGrass:
 
     def applied(self, ranges: Floats, now: GroupState) -> Floats:
         """`ranges` (M, N) [m], shortened where a blade is met."""
-        if isinstance(self._foliage, BatchedFoliage) and self._foliage.none:
+        if self._foliage.none:
             return ranges
         origins = (now.motion.position_w + now.motion.rotation @ self._mount_b).astype(np.float32)
         directions = self._directions_b @ now.motion.rotation.transpose(0, 2, 1).astype(np.float32)

@@ -1,21 +1,138 @@
-"""The neighbours sensor: a list of the nearest other agents, of all groups."""
+"""Sensors of other agents: the nearest one of other groups, and a list of the nearest of all groups."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
-from dune_rl.geometry.frames import clip
+from dune_rl.geometry.arrays import Array, Flags
+from dune_rl.geometry.frames import wrap_angle
 from dune_rl.sensors.context import SensorContext
+from dune_rl.sensors.own_motion import heading_frame
 from dune_rl.sensors.realism.noise import NoiseConf
 from dune_rl.sensors.realism.pipeline import ReadingRealismConf
-from dune_rl.sensors.sensed_agents import sense_agents, sense_goals
-from dune_rl.sensors.sensor import MAX_SENSED_SPEED_MPS, VectorSensor
+from dune_rl.sensors.sensor import MAX_SENSED_SPEED_MPS, PI32, VectorSensor
 from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.state import GroupState, State
 
 # Of each neighbour, without and with the goals of robots.
 _VALUES, _VALUES_WITH_GOAL = 7, 9
+
+
+@dataclass(frozen=True)
+class SensedAgents:
+    """The A agents of the groups that are looked at, for each of N rows.
+
+    `position_w` and `velocity_w` are (N, A, 2) [m, m/s]; `present` (N, A) is False for the looking agent
+    itself, and for agents that are not in the scene. `radius_m` and `is_robot` are (A,).
+    """
+
+    position_w: Array
+    velocity_w: Array
+    present: Flags
+    radius_m: Array
+    is_robot: Flags
+
+
+def sense_agents(names: Sequence[str], observer: GroupState, state: State) -> SensedAgents:
+    """The agents of the groups `names` in the scene of each agent of the group `observer`."""
+    rows = len(observer.motion.position_w)
+    positions, velocities = [np.zeros((rows, 0, 2))], [np.zeros((rows, 0, 2))]
+    present, radii, robots = [np.zeros((rows, 0), bool)], [np.zeros(0)], [np.zeros(0, bool)]
+    for name in names:
+        other = state.groups[name]
+        if _is_alone(other, observer):
+            continue
+        positions.append(_for_each(other.motion.position_w, other, observer))
+        velocities.append(_for_each(other.motion.velocity_w, other, observer))
+        is_itself = (
+            np.eye(observer.count, dtype=bool) if name == observer.name else np.zeros((1, other.count), bool)
+        )
+        there = np.tile(~is_itself, (rows // len(is_itself), 1))
+        if other.absent is not None:
+            there &= ~np.repeat(other.by_scene(other.absent), observer.count, axis=0)
+        present.append(there)
+        radii.append(np.full(other.count, other.body.radius_m))
+        robots.append(np.full(other.count, other.body.is_robot))
+    return SensedAgents(
+        np.concatenate(positions, axis=1),
+        np.concatenate(velocities, axis=1),
+        np.concatenate(present, axis=1),
+        np.concatenate(radii),
+        np.concatenate(robots),
+    )
+
+
+def sense_goals(names: Sequence[str], observer: GroupState, state: State) -> Array:
+    """The goals (N, A, 2) [m] of the agents that `sense_agents` finds, in the same order."""
+    rows = len(observer.motion.position_w)
+    goals = [np.zeros((rows, 0, 2))]
+    for name in names:
+        other = state.groups[name]
+        if not _is_alone(other, observer):
+            goals.append(_for_each(other.goal.position_w, other, observer))
+    return np.concatenate(goals, axis=1)
+
+
+def _is_alone(other: GroupState, observer: GroupState) -> bool:
+    """Whether a group has nobody but the one agent of a scene that looks."""
+    return other.name == observer.name and other.count == 1
+
+
+def _for_each(values: Array, other: GroupState, observer: GroupState) -> Array:
+    """The values (M G, 2 or more) of a group in plan view, for each agent of `observer`: (N, G, 2)."""
+    return np.repeat(other.by_scene(values[:, :2]), observer.count, axis=0)
+
+
+class NearestAgentConf(SensorSettings):
+    """Which groups are looked at; none named: all groups but the sensor's own.
+
+    Where the sensor's own group is named, each agent looks at the other agents of it.
+    """
+
+    default_realism: ClassVar = ReadingRealismConf(each=NoiseConf(noise=0.05))
+
+    sensor: Literal["nearest_agent"] = "nearest_agent"
+    groups: tuple[str, ...] = Field((), description="groups that are looked at; none: all but its own")
+
+
+class NearestAgent(VectorSensor):
+    """The reading `name`, (N, 4): distance [m], bearing [rad] and relative velocity (2) of the nearest agent.
+
+    Distance is horizontal, from origin to origin, at most the diagonal of the extent. The bearing is measured
+    from the own heading, in [-pi, pi). The velocity is the other's minus the own [m/s], forward
+    and left in the frame of the own heading, each component at most 10 m/s more than the body's top speed.
+    Without another agent the reading is (the diagonal, 0, 0, 0).
+    """
+
+    def __init__(self, name: str, context: SensorContext, conf: NearestAgentConf) -> None:
+        self._groups = conf.groups
+        self._farthest_m = far = context.diagonal_m
+        fast = MAX_SENSED_SPEED_MPS + context.carrier.max_speed_mps
+        super().__init__(name, context.num_rows, [0.0, -PI32, -fast, -fast], [far, PI32, fast, fast])
+
+    def measure(self, now: GroupState, state: State) -> None:
+        """Find the nearest agent of each row and read its motion."""
+        reading = np.zeros((len(self._reading), 4), np.float32)
+        names = self._groups or tuple(name for name in state.groups if name != now.name)
+        others = sense_agents(names, now, state)
+        position, velocity, present = others.position_w, others.velocity_w, others.present
+        if position.shape[1] == 0:
+            reading[:, 0] = self._farthest_m
+            self._reading = reading
+            return
+        offset = position - now.motion.position_w[:, None, :2]
+        distance = np.hypot(offset[..., 0], offset[..., 1])
+        nearest = np.where(present, distance, np.inf).argmin(axis=1)
+        rows = np.arange(len(nearest))
+        offset, yaw = offset[rows, nearest], now.motion.yaw
+        reading[:, 0] = distance[rows, nearest]
+        reading[:, 1] = wrap_angle(np.arctan2(offset[:, 1], offset[:, 0]) - yaw)
+        reading[:, 2:] = heading_frame(velocity[rows, nearest] - now.motion.velocity_w[:, :2], yaw)
+        reading[~present.any(axis=1)] = self._farthest_m, 0.0, 0.0, 0.0
+        self._store(reading)
 
 
 class NeighboursConf(SensorSettings):
@@ -46,13 +163,13 @@ class Neighbours(VectorSensor):
 
     def __init__(self, name: str, context: SensorContext, conf: NeighboursConf) -> None:
         self._conf = conf
-        self._max_closing_mps = fast = MAX_SENSED_SPEED_MPS + context.carrier.max_speed_mps
+        fast = MAX_SENSED_SPEED_MPS + context.carrier.max_speed_mps
         self._values = _VALUES_WITH_GOAL if conf.goals else _VALUES
         far = conf.range_m
         goal = [far] * (self._values - _VALUES)
         low = np.tile([0.0, -far, -far, -fast, -fast, 0.0, 0.0, *np.negative(goal)], conf.number)
         high = np.tile([1.0, far, far, fast, fast, far, 1.0, *goal], conf.number)
-        super().__init__(name, context.num_rows, low.astype(np.float32), high.astype(np.float32))
+        super().__init__(name, context.num_rows, low, high)
 
     def measure(self, now: GroupState, state: State) -> None:
         """List the agents of each row."""
@@ -68,17 +185,16 @@ class Neighbours(VectorSensor):
         seen = np.take_along_axis(distance, nearest, axis=1) <= self._conf.range_m
         closing = others.velocity_w - now.motion.velocity_w[:, None, :2]
         cos, sin = np.cos(now.motion.yaw)[:, None], np.sin(now.motion.yaw)[:, None]
-        far = self._conf.range_m
-        listed = [(1, offset, far), (3, closing, self._max_closing_mps)]
+        listed = [(1, offset), (3, closing)]
         if self._conf.goals:
-            to_goal = np.where(others.is_robot[:, None], sense_goals(names, now, state) - own, 0.0)
-            listed.append((_VALUES, to_goal, far))
-        for first, vectors, limit in listed:
+            goals = sense_goals(names, now, state)
+            listed.append((_VALUES, np.where(others.is_robot[:, None], goals - own, 0.0)))
+        for first, vectors in listed:
             x, y = (np.take_along_axis(vectors[..., axis], nearest, axis=1) for axis in (0, 1))
-            reading[:, :number, first] = clip(cos * x + sin * y, -limit, limit)
-            reading[:, :number, first + 1] = clip(cos * y - sin * x, -limit, limit)
+            reading[:, :number, first] = cos * x + sin * y
+            reading[:, :number, first + 1] = cos * y - sin * x
         reading[:, :number, 0] = 1.0
-        reading[:, :number, 5] = np.minimum(others.radius_m, self._conf.range_m)[nearest]
+        reading[:, :number, 5] = others.radius_m[nearest]
         reading[:, :number, 6] = others.is_robot[nearest]
         reading[:, :number] *= seen[..., None]
-        self._reading = reading.reshape(len(reading), -1).astype(np.float32)
+        self._store(reading.reshape(len(reading), -1))

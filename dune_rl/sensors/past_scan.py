@@ -1,10 +1,18 @@
-"""The scan of a moment ago as it would look from here: what differs from the present one has moved."""
+"""The LiDAR's scan of a moment ago as it would look from here; differences from the present have moved."""
+
+from typing import ClassVar, Literal
 
 import numpy as np
+from pydantic import Field
 
+from dune_rl.core.errors import ConfigError
 from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.sensors.beam_loops import nearest_seen_from
-from dune_rl.sensors.lidar import LidarConf
+from dune_rl.sensors.context import SensorContext
+from dune_rl.sensors.lidar import LidarConf, LidarSensor
+from dune_rl.sensors.sensor import VectorSensor
+from dune_rl.sensors.settings import SensorSettings
+from dune_rl.state.state import GroupState, State
 
 
 class PastScan:
@@ -43,13 +51,60 @@ class PastScan:
         ends_w = self._ends_w[(self._newest + 1) % len(self._ends_w)]
         found = np.empty((len(ends_w), self._conf.n_segments), np.float32)
         nearest_seen_from(
-            ends_w,
-            origin_w.astype(np.float32),
-            rotation.astype(np.float32),
-            self._first_rad,
-            self._per_rad,
-            self._full_circle,
-            self._limits,
-            found,
-        )
+            ends_w, origin_w.astype(np.float32), rotation.astype(np.float32), self._first_rad, self._per_rad,
+            self._full_circle, self._limits, found,
+        )  # fmt: skip
         return found
+
+
+class LidarPastConf(SensorSettings):
+    """A LiDAR's scan of a moment ago, as it would look from the present pose.
+
+    Where it differs from the present scan, something has moved. Its rate, latency and faults are those of the
+    LiDAR.
+    """
+
+    default_realism: ClassVar = LidarConf.default_realism
+
+    sensor: Literal["lidar_past"] = "lidar_past"
+    realism: None = Field(None, description="none of its own: its LiDAR's")
+    lidar: str = Field("lidar", description="name of the LiDAR")
+    past_s: float = Field(0.5, gt=0.0, le=5.0, description="age of the scan [s]")
+
+
+class LidarPast(VectorSensor):
+    """The reading `name`, (N, n_segments) [m]: the LiDAR's scan of `past_s` ago, seen from the present pose.
+
+    It is carried over by the robot's true motion, or by its instruments where these are faulty.
+    """
+
+    def __init__(self, name: str, context: SensorContext, conf: LidarPastConf) -> None:
+        sensor = context.sensor_of(conf.lidar)
+        if not isinstance(sensor, LidarSensor):
+            raise ConfigError(f"sensors.{name}.lidar must be the name of a LiDAR (got {conf.lidar!r})")
+        self._sensor, self._lidar = sensor, sensor.lidar
+        scan, rows = self._lidar.conf, context.num_rows
+        limits_m = scan.min_range_m, scan.range_m
+        super().__init__(name, rows, *(np.full(scan.n_segments, limit) for limit in limits_m))
+        self._navigation = context.navigation
+        self._past = PastScan(scan, rows, max(1, round(conf.past_s / context.step_s)))
+
+    def begin(self, mask: Flags, now: GroupState, state: State) -> None:
+        """Take the present scan; the rows in `mask` (N,) have seen nothing else before."""
+        self._take(now, mask)
+
+    def measure(self, now: GroupState, state: State) -> None:
+        """Take the LiDAR's latest scan, and look at an older one."""
+        self._take(now, None)
+
+    def _take(self, now: GroupState, begun: Flags | None) -> None:
+        motion = now.motion if self._navigation is None else self._navigation
+        ranges = self._sensor.ranges
+        origin = self._lidar.origin(motion.position_w, motion.rotation)
+        if begun is None:
+            self._lidar.store_ends(origin, motion.rotation, ranges, self._past.advance())
+        else:
+            ends_w = np.empty((*ranges.shape, 3), np.float32)
+            self._lidar.store_ends(origin, motion.rotation, ranges, ends_w)
+            self._past.restart(begun, ends_w)
+        self._reading = self._past.seen_from(origin, motion.rotation)

@@ -1,35 +1,87 @@
 """The sensors there are: ours, those of installed packages, and those that a program registers."""
 
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dune_rl.core.errors import RegistryError
 from dune_rl.core.registry import Registry
 from dune_rl.core.signatures import PartSignature
 from dune_rl.sensors.context import SensorContext
-from dune_rl.sensors.function_sensor import FunctionSensor, ReadingBounds
-from dune_rl.sensors.sensor import Sensor
+from dune_rl.sensors.sensor import Sensor, VectorSensor
 from dune_rl.sensors.settings import SensorSettings
+from dune_rl.state.state import GroupState, State
 
 _OWN = {
     "camera": "camera_sensor:CameraSensor",
-    "currents": "currents:Currents",
+    "currents": "wheels:Currents",
     "depth_strip": "depth_strip:DepthStrip",
-    "encoders": "encoders:Encoders",
-    "goal": "goal:Goal",
+    "encoders": "wheels:Encoders",
+    "goal": "own_motion:Goal",
     "height_scan": "height_scan:HeightScan",
     "imu": "imu:ImuSensor",
-    "lidar": "lidar_sensor:LidarSensor",
+    "lidar": "lidar:LidarSensor",
     "lidar_3d": "lidar_3d:Lidar3d",
-    "lidar_past": "lidar_sensor:LidarPast",
-    "nearest_agent": "nearest_agent:NearestAgent",
+    "lidar_past": "past_scan:LidarPast",
+    "nearest_agent": "neighbours:NearestAgent",
     "neighbours": "neighbours:Neighbours",
-    "odometry": "odometry:Odometry",
-    "planar_velocity": "velocity:PlanarVelocity",
-    "position": "position:Position",
-    "velocity": "velocity:Velocity",
+    "odometry": "wheels:Odometry",
+    "planar_velocity": "own_motion:PlanarVelocity",
+    "position": "own_motion:Position",
+    "velocity": "own_motion:Velocity",
 }
+
+
+# f(state, group, *, params) -> (N, size) or, for a size of 1, (N,).
+SensorFunction = Callable[..., NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class ReadingBounds:
+    """What `dune_rl.sensor_bounds` states: a reading's size, and the lowest and highest of its entries."""
+
+    low: float | tuple[float, ...]
+    high: float | tuple[float, ...]
+    size: int = 1
+
+
+class FunctionSensor(VectorSensor):
+    """The reading `name`, (N, size): what `function(state, group, **params)` returns, clipped to `bounds`.
+
+    Raises RegistryError, whose sentence opens with `origin`, where the function returns another shape or a
+    value that is not a number.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        function: SensorFunction,
+        num_rows: int,
+        bounds: ReadingBounds,
+        params: Mapping[str, Any],
+        origin: str,
+    ) -> None:
+        low, high = (np.broadcast_to(end, (bounds.size,)) for end in (bounds.low, bounds.high))
+        super().__init__(name, num_rows, low, high)
+        if not (self._low <= self._high).all():
+            raise RegistryError(f"{origin}, whose low {bounds.low} must be at most its high {bounds.high}.")
+        self._function, self._params, self._origin = function, dict(params), origin
+
+    def measure(self, now: GroupState, state: State) -> None:
+        """Call the function."""
+        values = np.asarray(self._function(state, now, **self._params), np.float32)
+        shape = self._reading.shape
+        if values.shape != shape and not (shape[1] == 1 and values.shape == shape[:1]):
+            raise RegistryError(
+                f"{self._origin}, which must return an array of shape {shape}, a row for each agent, "
+                f"and returned one of shape {values.shape}."
+            )
+        if np.isnan(values).any():
+            raise RegistryError(f"{self._origin}, which returned NaN.")
+        self._store(values.reshape(shape))
 
 
 class SensorRegistry(Registry[Sensor]):

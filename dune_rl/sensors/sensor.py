@@ -1,12 +1,13 @@
 """The protocol of sensors, and the types that they share."""
 
+from collections.abc import Mapping
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from dune_rl.geometry.arrays import Array, Flags
+from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.state.state import GroupState, JointState, State
 
 Reading = NDArray[Any]
@@ -51,15 +52,15 @@ class Sensor(Protocol):
 
 
 class VectorSensor:
-    """Base of sensors with one reading: `name`, (N, ...), of the shape and type of its bounds.
+    """Base of sensors with one reading, `name`: (N, ...), of the shape of its bounds, float32.
 
-    A subclass states the bounds of one agent's reading and sets `_reading` in `measure`. Episodes begin with
-    a measurement, unless the subclass remembers something.
+    A subclass states the bounds of one agent's reading and sets `_reading` in `measure`, by `_store` where
+    values may exceed the bounds. Episodes begin with a measurement, unless the subclass remembers something.
     """
 
-    def __init__(self, name: str, num_rows: int, low: Reading, high: Reading) -> None:
-        self._name, self._low, self._high = name, low, high
-        self._reading: Reading = np.zeros((num_rows, *low.shape), low.dtype)
+    def __init__(self, name: str, num_rows: int, low: ArrayLike, high: ArrayLike) -> None:
+        self._name, self._low, self._high = name, np.asarray(low, np.float32), np.asarray(high, np.float32)
+        self._reading: Floats = np.zeros((num_rows, *self._low.shape), np.float32)
 
     def bounds(self) -> dict[str, Bounds]:
         """Lowest and highest values of the reading, copies."""
@@ -76,6 +77,57 @@ class VectorSensor:
     def read(self) -> dict[str, Reading]:
         """The latest reading."""
         return {self._name: self._reading.copy()}
+
+    def _store(self, values: Array | Floats) -> None:
+        """Set the reading (N, ...), limited to the bounds."""
+        self._reading = np.minimum(np.maximum(values.astype(np.float32), self._low), self._high)
+
+
+class PictureSensor:
+    """Base of sensors with several readings "<name>_<output>", each (N, *shape, channels).
+
+    `limits` are the channels, the lowest and the highest value and the type of each output. A subclass reads
+    chosen rows in `_look`, and all rows in `measure`.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        num_rows: int,
+        shape: tuple[int, int],
+        limits: Mapping[str, tuple[int, float, float, type]],
+    ) -> None:
+        self._bounds: dict[str, Bounds] = {
+            f"{name}_{output}": (np.full((*shape, size), low, kind), np.full((*shape, size), high, kind))
+            for output, (size, low, high, kind) in limits.items()
+        }
+        self._name = name
+        self._readings: dict[str, Reading] = {
+            name: np.zeros((num_rows, *low.shape), low.dtype) for name, (low, _) in self._bounds.items()
+        }
+
+    def bounds(self) -> dict[str, Bounds]:
+        """Lowest and highest values of each reading."""
+        return dict(self._bounds)
+
+    def begin(self, mask: Flags, now: GroupState, state: State) -> None:
+        """Read in the rows in `mask` (N,); the others keep their readings."""
+        rows = np.flatnonzero(mask)
+        if len(rows):
+            for output, values in self._look(rows, now).items():
+                self._readings[f"{self._name}_{output}"][rows] = values
+
+    def measure(self, now: GroupState, state: State) -> None:
+        """Read anew."""
+        self._readings = {f"{self._name}_{output}": each for output, each in self._look(None, now).items()}
+
+    def read(self) -> dict[str, Reading]:
+        """The latest readings."""
+        return {name: values.copy() for name, values in self._readings.items()}
+
+    def _look(self, rows: NDArray[np.int64] | None, now: GroupState) -> dict[str, Reading]:
+        """The outputs of `rows` (n,), or of all."""
+        raise NotImplementedError
 
 
 def mount_position(mount: Mount) -> Array:

@@ -29,9 +29,7 @@ class SensorSettings(Settings):
     realism: Annotated[SerializeAsAny[RealismConf], BeforeValidator(_reading_realism)] | None = Field(
         None, description="faults of a real device; null: exact, or the default device"
     )
-    observed: bool = Field(
-        True, description="whether its readings are observed; false: robots only navigate by it"
-    )
+    observed: bool = Field(True, description="whether it is observed; false: robots only navigate by it")
 
     def mounted_on(self, carrier: SensorCarrier) -> Self:
         """The same with the carrier's values where `from_carrier` has None."""
@@ -41,7 +39,3 @@ class SensorSettings(Settings):
             if getattr(self, name) is None
         }
         return self.model_copy(update=values)
-
-    def realism_beside(self, sensors: Mapping[str, "SensorSettings"]) -> RealismConf | None:
-        """The realism of its own among the `sensors` of a robot; None where it has none."""
-        return self.realism

@@ -8,11 +8,11 @@ from dune_rl.core.errors import ConfigError
 from dune_rl.geometry.arrays import Flags
 from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.navigation import ControllerMotion, Navigation
-from dune_rl.sensors.realism.pipeline import RealismConf, realistic
+from dune_rl.sensors.own_motion import LEG_SPEED, EstimatedVelocity
+from dune_rl.sensors.realism.pipeline import realistic
 from dune_rl.sensors.registry import SENSORS
 from dune_rl.sensors.sensor import Bounds, Reading, Sensor
 from dune_rl.sensors.settings import SensorSettings
-from dune_rl.sensors.velocity import LEG_SPEED, EstimatedVelocity
 from dune_rl.state.state import GroupState, Motion, State
 
 
@@ -29,16 +29,12 @@ class SensorSuite:
     """
 
     def __init__(self, conf: Mapping[str, SensorSettings], context: SensorContext) -> None:
-        is_realistic = any(each.realism is not None for each in conf.values())
-        step_s = context.step_s if is_realistic else None
-        self.settings = {
-            name: _completed(each, context, each.realism_beside(conf), step_s) for name, each in conf.items()
-        }
-        self._step_s = step_s
+        self._is_realistic = any(each.realism is not None for each in conf.values())
         self._context = replace(context, sensor_of=self._sensor, settings_of=self.settings_of)
+        self.settings = {name: self._complete(each) for name, each in conf.items()}
         self.navigation: Navigation | None = None
         instruments: dict[str, Sensor] = {}
-        if is_realistic:
+        if self._is_realistic:
             instruments = self._instruments()
             self.navigation = Navigation(instruments, context.num_rows, context.step_s)
             self._context = replace(self._context, navigation=self.navigation)
@@ -99,8 +95,7 @@ class SensorSuite:
     def _build(self, name: str, conf: SensorSettings) -> tuple[Sensor, Sensor]:
         """A sensor without, and with, rate, latency and noise."""
         exact = SENSORS.build_sensor(conf, name, self._context)
-        rows, step_s = self._context.num_rows, self._context.step_s
-        return exact, realistic(exact, conf.realism, rows, step_s)
+        return exact, realistic(exact, conf.realism, self._context.num_rows, self._context.step_s)
 
     def settings_of(self, kind: str) -> Any:
         """The settings of the sensor that is called after its kind, or the kind's defaults."""
@@ -110,7 +105,14 @@ class SensorSuite:
         known = SENSORS.settings_class(kind)
         if known is None:
             raise ConfigError(f"sensors: there is no sensor {kind!r} to read")
-        return _completed(known(), self._context, None, self._step_s)
+        return self._complete(known())
+
+    def _complete(self, conf: SensorSettings) -> SensorSettings:
+        """Settings with the carrier's mounts, and a device for a sensor without one where another has one."""
+        realism = conf.realism
+        if realism is None and self._is_realistic and conf.default_realism is not None:
+            realism = conf.default_realism.fit_to(self._context.step_s)
+        return conf.mounted_on(self._context.carrier).model_copy(update={"realism": realism})
 
     def _instruments(self) -> dict[str, Sensor]:
         """The instruments that robots navigate by, whether they are observed or not.
@@ -134,15 +136,6 @@ class SensorSuite:
         if any(conf.sensor in ("goal", "position") for conf in self.settings.values()):
             instruments["position"] = self._build("position", self.settings_of("position"))[1]
         return instruments
-
-
-def _completed(
-    conf: SensorSettings, context: SensorContext, realism: RealismConf | None, step_s: float | None
-) -> SensorSettings:
-    """Settings with the carrier's mounts; with `step_s`, those without `realism` have the kind's default."""
-    if realism is None and step_s is not None and conf.default_realism is not None:
-        realism = conf.default_realism.fit_to(step_s)
-    return conf.mounted_on(context.carrier).model_copy(update={"realism": realism})
 
 
 def _check_mount(name: str, conf: SensorSettings, height_m: float) -> None:

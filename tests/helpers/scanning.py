@@ -11,7 +11,7 @@ from dune_rl.bodies.person import PersonConf
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.geometry.rays import RayScene
 from dune_rl.sensors.lidar import Lidar, LidarConf
-from dune_rl.sensors.velocity import Velocity, VelocityConf
+from dune_rl.sensors.own_motion import Velocity, VelocityConf
 from dune_rl.state import Motion
 from dune_rl.worlds.flat import FlatConf, build_flat
 from dune_rl.worlds.props import upright_box

@@ -11,8 +11,8 @@ from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.rendering.participating_media import ParticipatingMedia
 from dune_rl.sensors.context import SensorContext
-from dune_rl.sensors.lidar import LidarConf
-from dune_rl.sensors.lidar_sensor import LidarPast, LidarPastConf, LidarSensor
+from dune_rl.sensors.lidar import LidarConf, LidarSensor
+from dune_rl.sensors.past_scan import LidarPast, LidarPastConf
 from dune_rl.state.sensor_carrier import SensorCarrier
 from dune_rl.worlds.world import World
 

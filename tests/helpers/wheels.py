@@ -11,11 +11,17 @@ from states import begin, group_state, joints_from, measure, motion_of, resting
 from dune_rl.physics.bullet.scene import BulletScene
 from dune_rl.robots.rover_zero import RoverZeroConf
 from dune_rl.sensors.context import SensorContext
-from dune_rl.sensors.currents import Currents, CurrentsConf
-from dune_rl.sensors.encoders import Encoders, EncodersConf
-from dune_rl.sensors.odometry import DriveGeometry, Odometry, OdometryConf
-from dune_rl.sensors.position import Position, PositionConf
+from dune_rl.sensors.own_motion import Position, PositionConf
 from dune_rl.sensors.sensor import Sensor
+from dune_rl.sensors.wheels import (
+    Currents,
+    CurrentsConf,
+    DriveGeometry,
+    Encoders,
+    EncodersConf,
+    Odometry,
+    OdometryConf,
+)
 from dune_rl.state import GroupState, JointState
 
 ALL = np.array([True])

@@ -20,7 +20,7 @@ from dune_rl.rendering.participating_media import ParticipatingMedia
 from dune_rl.rendering.renderer import Renderer, Viewpoint
 from dune_rl.rendering.weather import Haze, WeatherConf, sun_position, weather_light
 from dune_rl.sensors.camera import Camera
-from dune_rl.sensors.lidar_sensor import LidarSensor
+from dune_rl.sensors.lidar import LidarSensor
 from dune_rl.sensors.medium import InHaze, effects_of
 from dune_rl.worlds.appearance import bake_in_weather, bake_world
 from dune_rl.worlds.props import upright_box

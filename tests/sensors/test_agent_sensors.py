@@ -10,10 +10,9 @@ from states import begin, group_state, measure, resting, state_of, write
 
 from dune_rl.bodies.person import PersonConf
 from dune_rl.geometry.frames import wrap_angle
-from dune_rl.sensors.goal import Goal, GoalConf
-from dune_rl.sensors.lidar_sensor import LidarSensor
-from dune_rl.sensors.nearest_agent import NearestAgent, NearestAgentConf
-from dune_rl.sensors.velocity import PlanarVelocity, PlanarVelocityConf
+from dune_rl.sensors.lidar import LidarSensor
+from dune_rl.sensors.neighbours import NearestAgent, NearestAgentConf
+from dune_rl.sensors.own_motion import Goal, GoalConf, PlanarVelocity, PlanarVelocityConf
 from dune_rl.state import GoalState, GroupState, Motion
 from dune_rl.state.sensor_carrier import SensorCarrier
 

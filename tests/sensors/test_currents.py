@@ -20,8 +20,7 @@ from wheels import ALL, WHEELS, Measured, on_wheels, reading, wheels_state, with
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.robots.rover_zero import RoverZeroConf, RoverZeroDriveConf
 from dune_rl.robots.wheeled import SkidSteerConf
-from dune_rl.sensors.currents import Currents, CurrentsConf
-from dune_rl.sensors.encoders import EncodersConf
+from dune_rl.sensors.wheels import Currents, CurrentsConf, EncodersConf
 
 # An ampere for a newton metre, either way.
 PLAIN = CurrentsConf(torque_constant_nm_per_a=1.0, gear_ratio=1.0, efficiency=1.0)

@@ -8,7 +8,7 @@ from scenes import STEP_S, WHEEL_RADIUS_M, Drive, Stage, every_backend
 from states import begin, group_state, measure, resting
 from wheels import ALL, WHEELS, Measured, on_wheels, reading, wheels_state, within_bounds
 
-from dune_rl.sensors.encoders import Encoders, EncodersConf
+from dune_rl.sensors.wheels import Encoders, EncodersConf
 
 IDEAL = EncodersConf(counts_per_turn=0)
 COUNT_RAD = 2 * np.pi / 100

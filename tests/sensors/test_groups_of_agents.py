@@ -20,9 +20,9 @@ from dune_rl.rendering.participating_media import BeamMedia
 from dune_rl.rendering.weather import Haze, WeatherConf
 from dune_rl.sensors.conf import parse_sensors
 from dune_rl.sensors.context import SensorContext
-from dune_rl.sensors.odometry import DriveGeometry
 from dune_rl.sensors.settings import SensorSettings
 from dune_rl.sensors.suite import SensorSuite
+from dune_rl.sensors.wheels import DriveGeometry
 from dune_rl.state import GroupState
 from dune_rl.state.sensor_carrier import SensorCarrier
 from dune_rl.worlds.batched_worlds import BatchedWorlds

@@ -7,7 +7,7 @@ from term_states import agents
 import dune_rl
 from dune_rl.config.build import make_simulation
 from dune_rl.config.compose import compose_environment
-from dune_rl.sensors.measuring_scan import DUNE_CODE_LIDAR, MeasuringScan
+from dune_rl.sensors.lidar import DUNE_CODE_LIDAR, MeasuringScan
 
 
 class FixedBeams:

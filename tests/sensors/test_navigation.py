@@ -24,9 +24,9 @@ from dune_rl.geometry.frames import (
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.sensors.conf import parse_sensors
 from dune_rl.sensors.navigation import Navigation
-from dune_rl.sensors.odometry import DriveGeometry
 from dune_rl.sensors.registry import SENSORS
 from dune_rl.sensors.suite import SensorSuite
+from dune_rl.sensors.wheels import DriveGeometry
 from dune_rl.state import GoalState, GroupState
 from dune_rl.state.sensor_carrier import SensorCarrier
 from dune_rl.worlds.batched_worlds import BatchedWorlds

@@ -26,8 +26,7 @@ from wheels import (
 from dune_rl.geometry.frames import wrap_angle
 from dune_rl.robots.heading import HeadingConf
 from dune_rl.robots.wheeled import SkidSteerConf
-from dune_rl.sensors.encoders import EncodersConf
-from dune_rl.sensors.odometry import DriveGeometry, Odometry, OdometryConf
+from dune_rl.sensors.wheels import DriveGeometry, EncodersConf, Odometry, OdometryConf
 
 KP = HeadingConf().kp
 IDEAL = EncodersConf(counts_per_turn=0)

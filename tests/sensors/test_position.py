@@ -7,7 +7,7 @@ from sensor_contexts import context_of
 from states import begin, group_state, measure, motion_of, write
 from wheels import Measured, reading, within_bounds
 
-from dune_rl.sensors.position import Position, PositionConf
+from dune_rl.sensors.own_motion import Position, PositionConf
 from dune_rl.state import GroupState
 
 EXTENT = (-20.0, 30.0, -10.0, 15.0)

@@ -12,8 +12,7 @@ from states import episode_state, group_state, measure, resting, write
 import dune_rl
 from dune_rl.core.errors import ConfigError, RegistryError
 from dune_rl.sensors.conf import parse_sensors
-from dune_rl.sensors.function_sensor import FunctionSensor, ReadingBounds
-from dune_rl.sensors.registry import SENSORS
+from dune_rl.sensors.registry import SENSORS, FunctionSensor, ReadingBounds
 
 
 @pytest.fixture(autouse=True)

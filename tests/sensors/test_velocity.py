@@ -5,7 +5,7 @@ from scanning import sensed_speed
 from scenes import about
 from states import motion_of
 
-from dune_rl.sensors.velocity import MAX_SENSED_SPEED_MPS
+from dune_rl.sensors.own_motion import MAX_SENSED_SPEED_MPS
 
 
 def test_sensed_speed_is_forward_in_the_body_frame_and_within_range():

@@ -6,6 +6,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from dune_rl.geometry.arrays import Array, Floats
+from dune_rl.rendering.scenery import Segment
 from dune_rl.sensors.draws import normal, uniform
 from dune_rl.sensors.realism.pipeline import RealismConf
 from dune_rl.state.state import GroupState
@@ -30,14 +31,10 @@ class LidarRealismConf(RealismConf):
     quantum_m: float = Field(0.0, ge=0.0, le=10.0, description="step between two ranges [m]")
     dropout: float = Field(0.0, ge=0.0, le=1.0, description="share of the beams that return nothing")
     half_return_m: float | None = Field(
-        None,
-        gt=0.0,
-        le=10_000.0,
-        description="range at which half of the beams return that hit head-on [m]; null: all return",
+        None, gt=0.0, le=10_000.0, description="range at which half of the beams return [m]; null: all"
     )
     reflectance: tuple[float, float] = Field(
-        (1.0, 1.0),
-        description="lowest and highest reflectance of an episode, relative to that of `half_return_m`",
+        (1.0, 1.0), description="lowest and highest reflectance of an episode, over that of `half_return_m`"
     )
 
     @model_validator(mode="after")
@@ -53,6 +50,9 @@ class LidarRealismConf(RealismConf):
 
 class BeamFaults:
     """Ranges as a real LiDAR gives them; they depend on the true ones and on the moment alone."""
+
+    segment: Segment | None = None
+    luminance = 0.0
 
     def __init__(
         self, conf: LidarRealismConf, limits_m: tuple[float, float], name: str, bearings: Array | None = None
@@ -74,24 +74,13 @@ class BeamFaults:
         conf = self._conf
         nearest, farthest = (np.float32(limit) for limit in self._limits_m)
         returned = ranges < farthest
+        moment = (now.episode.streams, now.episode.steps, ranges.shape[1])
         if conf.dropout > 0.0 or conf.half_return_m is not None:
-            chance = uniform(
-                now.episode.seed,
-                f"{self._name} return",
-                now.episode.streams,
-                now.episode.steps,
-                ranges.shape[1],
-            )
+            chance = uniform(now.episode.seed, f"{self._name} return", *moment)
             returned &= chance < self._return_share(ranges, now)
         measured = ranges
         if conf.noise_m > 0.0 or conf.noise_share > 0.0:
-            noise = normal(
-                now.episode.seed,
-                f"{self._name} noise",
-                now.episode.streams,
-                now.episode.steps,
-                ranges.shape[1],
-            )
+            noise = normal(now.episode.seed, f"{self._name} noise", *moment)
             noise *= np.float32(conf.noise_m) + np.float32(conf.noise_share) * ranges
             measured = ranges + noise
         if conf.quantum_m > 0.0:

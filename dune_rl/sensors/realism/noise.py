@@ -1,6 +1,6 @@
-"""Noise, biases and steps of single quantities."""
+"""Noise, biases and steps of single quantities, and the drift of an integrated heading."""
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,11 @@ Rows = NDArray[np.int64] | slice
 _GAUSS_MARKOV_PEAK = 0.6174
 
 
+_GYROSCOPE, _ROLL, _PITCH, _YAW = slice(3, 6), 6, 7, 8
+# The yaw rate follows from body rates over the cosine of the pitch: held away from nose up and nose down.
+_LEAST_COSINE = 0.1
+
+
 class NoiseConf(Settings):
     """Faults of one quantity, in its own unit (called u here); all are deviations, and 0 is none.
 
@@ -34,18 +39,10 @@ class NoiseConf(Settings):
 
     noise_density: float = Field(0.0, ge=0.0, description="white noise N, whatever the rate [u/√Hz]")
     noise: float = Field(0.0, ge=0.0, description="standard deviation of white noise of each reading [u]")
-    bias: float = Field(
-        0.0, ge=0.0, description="standard deviation of a bias that is constant over an episode [u]"
-    )
-    bias_instability: float = Field(
-        0.0,
-        ge=0.0,
-        description="floor of the Allan deviation, as data sheets state it, of a wandering bias [u]",
-    )
+    bias: float = Field(0.0, ge=0.0, description="standard deviation of a bias constant over an episode [u]")
+    bias_instability: float = Field(0.0, ge=0.0, description="floor of the Allan deviation [u]")
     bias_correlation_s: float = Field(100.0, gt=0.0, description="correlation time of the wandering bias [s]")
-    bias_walk: float = Field(
-        0.0, ge=0.0, description="random walk K of a bias that starts at 0 with an episode [u/s/√Hz]"
-    )
+    bias_walk: float = Field(0.0, ge=0.0, description="random walk K of a bias that starts at 0 [u/s/√Hz]")
     quantum: float = Field(0.0, ge=0.0, description="step between two values [u]")
 
 
@@ -105,13 +102,8 @@ class Faults:
         if not self._drifts:
             return
         entries = self._entries
-        drawn = normal(
-            now.episode.seed,
-            f"{self._name} drift",
-            now.episode.streams[rows],
-            now.episode.steps[rows],
-            2 * entries,
-        )
+        moment = now.episode.streams[rows], now.episode.steps[rows]
+        drawn = normal(now.episode.seed, f"{self._name} drift", *moment, 2 * entries)
         self._bias[rows] += drawn[:, :entries] * self._walk
         self._wander[rows] = self._wander[rows] * self._kept + drawn[:, entries:] * self._stirred
 
@@ -137,3 +129,41 @@ class Faults:
             np.rint(value, out=value)
         limited: Reading = clip(value, self._low, self._high).astype(self._type)
         return limited
+
+
+class ImuFaults(Faults):
+    """Faults of a reading "imu" in which the errors of the yaw rate add up to a drift of the yaw.
+
+    The drift is that of an integrator that begins with the episode. Of white noise N, a constant bias b and a
+    random walk K it has after a time t the variance N² t + b² t² + K² t³ / 3. Where the unit tilts, the error
+    of the yaw rate is (e_y sin(roll) + e_z cos(roll)) / cos(pitch), of errors e of the body rates.
+    """
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self._period_s: float = args[-1]
+        self._drift = np.zeros(len(self._bias))
+
+    def begin(self, rows: Rows, now: GroupState) -> None:
+        """Draw the biases of the episodes in `rows`, which begin without drift."""
+        super().begin(rows, now)
+        self._drift[rows] = 0.0
+
+    def applied(self, reading: Reading, rows: Rows, now: GroupState) -> Reading:
+        """What the units in `rows` make of their true `reading` (len(rows), 9)."""
+        value = self.noisy(reading, rows, now)
+        turned = self._yaw_rate_error(reading, value[:, _GYROSCOPE] - reading[:, _GYROSCOPE]) * self._period_s
+        self._drift[rows] += np.where(now.episode.steps[rows] > 0, turned, 0.0)
+        drift = self._drift[rows]
+        # To wrap rounds: what does not drift keeps its bytes.
+        value[:, _YAW] = np.where(drift != 0.0, wrap_angle(value[:, _YAW] + drift), value[:, _YAW])
+        return self.limited(value)
+
+    @staticmethod
+    def _yaw_rate_error(reading: Reading, errors: Array) -> Array:
+        roll, pitch = reading[:, _ROLL].astype(np.float64), reading[:, _PITCH].astype(np.float64)
+        _, y, z = errors.T
+        cosine = np.cos(pitch)
+        cosine = np.copysign(np.maximum(np.abs(cosine), _LEAST_COSINE), cosine)
+        rate: Array = (y * np.sin(roll) + z * np.cos(roll)) / cosine
+        return rate

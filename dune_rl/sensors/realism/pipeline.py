@@ -8,8 +8,7 @@ from pydantic import Field, model_validator
 
 from dune_rl.core.settings import Settings
 from dune_rl.geometry.arrays import Flags
-from dune_rl.sensors.realism.imu import ImuFaults
-from dune_rl.sensors.realism.noise import AngleNoiseConf, Faults, NoiseConf, Rows
+from dune_rl.sensors.realism.noise import AngleNoiseConf, Faults, ImuFaults, NoiseConf, Rows
 from dune_rl.sensors.realism.presets import PartKind, find_part
 from dune_rl.sensors.sensor import Bounds, Reading, Sensor
 from dune_rl.state.state import GroupState, State
@@ -26,22 +25,20 @@ class RealismConf(Settings):
 
     Classes for a `kind` of part take the name of one: alone ("bno055"), or as
     `preset` beside settings that differ. "perfect" has no faults at all.
+
+    `layout` names the field with the faults of each entry of a reading; with `repeats`, of equal runs of
+    entries.
     """
 
     kind: ClassVar[PartKind | None] = None
+    layout: ClassVar[tuple[str, ...]] = ()
+    repeats: ClassVar[bool] = False
 
-    preset: str | None = Field(
-        None, description="name of a known device, whose figures stand in for what is not set"
-    )
+    preset: str | None = Field(None, description="name of a known device, for what is not set")
     rate_hz: float | None = Field(
-        None,
-        gt=0.0,
-        le=10_000.0,
-        description="readings a second, which divide the control rate [Hz]; null: one each control step",
+        None, gt=0.0, le=10_000.0, description="readings a second [Hz]; null: one each control step"
     )
-    latency_s: float = Field(
-        0.0, ge=0.0, le=2.0, description="delay of a reading, a whole number of control steps [s]"
-    )
+    latency_s: float = Field(0.0, ge=0.0, le=2.0, description="delay of a reading, in control steps [s]")
 
     @model_validator(mode="before")
     @classmethod
@@ -62,12 +59,18 @@ class RealismConf(Settings):
 
     def channels(self, size: int) -> tuple[NoiseConf, ...]:
         """Faults of each of the `size` entries of a reading; none at all for a sensor with its own."""
-        return ()
+        each = size // len(self.layout) if self.layout and self.repeats else 1
+        return tuple(getattr(self, name) for name in self.layout for _ in range(each))
 
     def faults(self, name: str, bounds: Bounds, num_rows: int, period_s: float) -> Faults | None:
         """The faults of the reading `name`, read every `period_s`; None for a sensor with its own."""
         channels = self.channels(bounds[0].size)
-        return Faults(name, bounds, channels, num_rows, period_s) if channels else None
+        return self.made(name, bounds, channels, num_rows, period_s) if channels else None
+
+    @property
+    def made(self) -> type[Faults]:
+        """The class of the faults of entries."""
+        return Faults
 
     def fit_to(self, step_s: float) -> Self:
         """The same with the nearest rate and latency that control steps of `step_s` allow."""
@@ -78,30 +81,27 @@ class RealismConf(Settings):
 
     def steps(self, step_s: float) -> tuple[int, int]:
         """Control steps of `step_s` between two readings, and until a reading arrives; or ValueError."""
-        every = 1 if self.rate_hz is None else self._every(1.0 / step_s, self.rate_hz)
-        late = self.latency_s / step_s
+        control_hz, every, late = 1.0 / step_s, 1.0, self.latency_s / step_s
+        if self.rate_hz is not None:
+            every = control_hz / self.rate_hz
+            if every < 1.0 - 1e-3:
+                raise ValueError(
+                    f"rate_hz={self.rate_hz:g} is above the control rate of {control_hz:g} Hz; "
+                    f"write {control_hz:g} or a whole fraction of it, or null for every control step"
+                )
+            if abs(every - round(every)) > 1e-3 * every:
+                near = " or ".join(f"{control_hz / steps:.4g}" for steps in (int(every), int(every) + 1))
+                raise ValueError(
+                    f"rate_hz={self.rate_hz:g} does not divide the control rate of {control_hz:g} Hz; "
+                    f"write {near}"
+                )
         if abs(late - round(late)) > 1e-3:
             near = " or ".join(f"{steps * step_s:.4g}" for steps in (int(late), int(late) + 1))
             raise ValueError(
                 f"latency_s={self.latency_s:g} is not a whole number of control steps of {step_s:g} s; "
                 f"write {near}"
             )
-        return every, round(late)
-
-    @staticmethod
-    def _every(control_hz: float, rate_hz: float) -> int:
-        every = control_hz / rate_hz
-        if every < 1.0 - 1e-3:
-            raise ValueError(
-                f"rate_hz={rate_hz:g} is above the control rate of {control_hz:g} Hz; "
-                f"write {control_hz:g} or a whole fraction of it, or null for every control step"
-            )
-        if abs(every - round(every)) > 1e-3 * every:
-            near = " or ".join(f"{control_hz / steps:.4g}" for steps in (int(every), int(every) + 1))
-            raise ValueError(
-                f"rate_hz={rate_hz:g} does not divide the control rate of {control_hz:g} Hz; write {near}"
-            )
-        return round(every)
+        return round(every), round(late)
 
 
 class ImuRealismConf(RealismConf):
@@ -112,10 +112,10 @@ class ImuRealismConf(RealismConf):
     """
 
     kind = "imu"
+    layout = (*("accelerometer",) * 3, *("gyroscope",) * 3, "tilt", "tilt", "heading")
 
     heading_from: Literal["gyroscope", "magnetometer"] = Field(
-        "gyroscope",
-        description="what yaw is measured with: the integrated gyroscope, which drifts, or a magnetometer",
+        "gyroscope", description="source of yaw: the integrated gyroscope, which drifts, or a magnetometer"
     )
 
     accelerometer: NoiseConf = NoiseConf()
@@ -123,85 +123,69 @@ class ImuRealismConf(RealismConf):
     tilt: AngleNoiseConf = AngleNoiseConf()
     heading: AngleNoiseConf = AngleNoiseConf()
 
-    def channels(self, size: int) -> tuple[NoiseConf, ...]:
-        """Three axes of each, and three angles."""
-        return (self.accelerometer,) * 3 + (self.gyroscope,) * 3 + (self.tilt,) * 2 + (self.heading,)
-
-    def faults(self, name: str, bounds: Bounds, num_rows: int, period_s: float) -> Faults | None:
-        """The faults of the reading `name`, whose heading drifts where the gyroscope gives it."""
-        channels = self.channels(bounds[0].size)
-        made = ImuFaults if self.heading_from == "gyroscope" else Faults
-        return made(name, bounds, channels, num_rows, period_s)
+    @property
+    def made(self) -> type[Faults]:
+        """With a heading that drifts where the gyroscope gives it."""
+        return ImuFaults if self.heading_from == "gyroscope" else Faults
 
 
 class SpeedRealismConf(RealismConf):
     """Faults of what a rover's own controller knows: `forward` [m/s] and `turn` [rad/s]."""
 
+    layout = ("forward", "turn")
+
     forward: NoiseConf = NoiseConf()
     turn: NoiseConf = NoiseConf()
-
-    def channels(self, size: int) -> tuple[NoiseConf, ...]:
-        """One each."""
-        return (self.forward, self.turn)
 
 
 class ReadingRealismConf(RealismConf):
     """Faults of a sensor whose entries are all alike: heights, depths, currents."""
 
-    each: NoiseConf = NoiseConf()
+    layout = ("each",)
+    repeats = True
 
-    def channels(self, size: int) -> tuple[NoiseConf, ...]:
-        """The same for all, drawn for each."""
-        return (self.each,) * size
+    each: NoiseConf = NoiseConf()
 
 
 class EncoderRealismConf(RealismConf):
     """Faults of wheel encoders: of each `turn` [rad], and of each `speed` [rad/s]."""
 
+    layout = ("turn", "speed")
+    repeats = True
+
     turn: NoiseConf = NoiseConf()
     speed: NoiseConf = NoiseConf()
-
-    def channels(self, size: int) -> tuple[NoiseConf, ...]:
-        """Turns first, then speeds."""
-        return (self.turn,) * (size // 2) + (self.speed,) * (size // 2)
 
 
 class OdometryRealismConf(RealismConf):
     """Faults of dead reckoning: `place` is of x and y [m], `forward` [m/s] and `turn` [rad/s] of speeds."""
+
+    layout = ("place", "place", "heading", "forward", "turn")
 
     place: NoiseConf = NoiseConf()
     heading: AngleNoiseConf = AngleNoiseConf()
     forward: NoiseConf = NoiseConf()
     turn: NoiseConf = NoiseConf()
 
-    def channels(self, size: int) -> tuple[NoiseConf, ...]:
-        """In the order of the reading."""
-        return (self.place, self.place, self.heading, self.forward, self.turn)
-
 
 class GoalRealismConf(RealismConf):
     """Faults of what is known of the goal: `distance` [m] and `bearing` [rad]."""
 
+    layout = ("distance", "bearing")
+
     distance: NoiseConf = NoiseConf()
     bearing: AngleNoiseConf = AngleNoiseConf()
-
-    def channels(self, size: int) -> tuple[NoiseConf, ...]:
-        """One each."""
-        return (self.distance, self.bearing)
 
 
 class PositionRealismConf(RealismConf):
     """Faults of a satellite receiver and a compass: `place` is of x and y [m], `height` of z [m]."""
 
     kind = "position"
+    layout = ("place", "place", "height", "heading")
 
     place: NoiseConf = NoiseConf()
     height: NoiseConf = NoiseConf()
     heading: AngleNoiseConf = AngleNoiseConf()
-
-    def channels(self, size: int) -> tuple[NoiseConf, ...]:
-        """In the order of the reading."""
-        return (self.place, self.place, self.height, self.heading)
 
 
 class Realism:
@@ -219,8 +203,7 @@ class Realism:
         self._faults: dict[str, Faults] = {}
         self._ring: dict[str, Reading] = {}
         for name, bounds in sensor.bounds().items():
-            low = bounds[0]
-            self._ring[name] = np.zeros((delay + 1, num_rows, *low.shape), low.dtype)
+            self._ring[name] = np.zeros((delay + 1, num_rows, *bounds[0].shape), bounds[0].dtype)
             faults = conf.faults(name, bounds, num_rows, self._every * step_s)
             if faults is not None:
                 self._faults[name] = faults

@@ -32,15 +32,23 @@ _D4XX = "Intel, 'BKMs for tuning D4xx': z² * 0.08 / (424 * 0.05), for 848 colum
 
 @dataclass(frozen=True)
 class SensorPart:
-    """A real part: settings for its kind of sensor, and a source for each of them by its dotted name.
+    """A real part: for each setting of its kind of sensor, by its dotted name, the value and its source.
 
     A source that begins with "estimate" is no more than that.
     """
 
     kind: PartKind
     name: str
-    settings: Mapping[str, Any]
-    sources: Mapping[str, str]
+    figures: Mapping[str, tuple[Any, str]]
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The settings as plain data."""
+        found: dict[str, Any] = {}
+        for path, (value, _) in self.figures.items():
+            section, _, field = path.rpartition(".")
+            (found.setdefault(section, {}) if section else found)[field] = value
+        return found
 
 
 PARTS: Mapping[str, SensorPart] = {
@@ -48,238 +56,177 @@ PARTS: Mapping[str, SensorPart] = {
         "imu",
         "Bosch BNO055, in a fusion mode, where it takes its own offsets off",
         {
-            "accelerometer": {"noise_density": 150e-6 * _G, "quantum": 0.01},
-            "gyroscope": {"noise_density": 0.014 * _DEG, "quantum": _DEG / 16},
-            "tilt": {"bias": 0.5 * _DEG, "quantum": _DEG / 16},
-            "heading_from": "magnetometer",
-            "heading": {"bias": 2.5 * _DEG, "quantum": _DEG / 16},
-        },
-        {
-            "accelerometer.noise_density": f"150 µg/√Hz: {_BMI055}",
-            "accelerometer.quantum": f"1 m/s² = 100 LSB: {_BNO055}, table 3-33",
-            "gyroscope.noise_density": f"0.014 °/s/√Hz: {_BMI055}",
-            "gyroscope.quantum": f"1 °/s = 16 LSB: {_BNO055}, table 3-22",
-            "tilt.bias": "estimate: half a degree, constant over an episode",
-            "tilt.quantum": "1° = 16 LSB: angle_scale in BNO055.cpp by 5hel2l2y, os.mbed.com",
-            "heading_from": f"absolute orientation, from all three sensors: {_BNO055}",
-            "heading.bias": "estimate: two and a half degrees, the magnetometer's, constant over an episode",
-            "heading.quantum": "1° = 16 LSB: angle_scale in BNO055.cpp by 5hel2l2y, os.mbed.com",
+            "accelerometer.noise_density": (150e-6 * _G, f"150 µg/√Hz: {_BMI055}"),
+            "accelerometer.quantum": (0.01, f"1 m/s² = 100 LSB: {_BNO055}, table 3-33"),
+            "gyroscope.noise_density": (0.014 * _DEG, f"0.014 °/s/√Hz: {_BMI055}"),
+            "gyroscope.quantum": (_DEG / 16, f"1 °/s = 16 LSB: {_BNO055}, table 3-22"),
+            "tilt.bias": (0.5 * _DEG, "estimate: half a degree, constant over an episode"),
+            "tilt.quantum": (_DEG / 16, "1° = 16 LSB: angle_scale in BNO055.cpp by 5hel2l2y, os.mbed.com"),
+            "heading_from": ("magnetometer", f"absolute orientation, from all three sensors: {_BNO055}"),
+            "heading.bias": (2.5 * _DEG, "estimate: the magnetometer's, constant over an episode"),
+            "heading.quantum": (_DEG / 16, "1° = 16 LSB: angle_scale in BNO055.cpp by 5hel2l2y, os.mbed.com"),
         },
     ),
     "mpu6050": SensorPart(
         "imu",
         "InvenSense MPU-6050 at ±16 g and ±2000 °/s, its gyroscope zeroed at rest",
         {
-            "accelerometer": {"noise_density": 400e-6 * _G, "bias": 50e-3 * _G / 3, "quantum": _G / 2048},
-            "gyroscope": {
-                "noise_density": 0.005 * _DEG,
-                "bias_instability": 0.0012 * _DEG,
-                "quantum": _DEG / 16.4,
-            },
-            "tilt": {"bias": 50e-3 / 3},
-        },
-        {
-            "accelerometer.noise_density": f"400 µg/√Hz: {_MPU6050}, section 6.2",
-            "accelerometer.bias": f"±50 mg (x, y), taken as three deviations: {_MPU6050}, section 6.2",
-            "accelerometer.quantum": f"2048 LSB/g: {_MPU6050}, section 6.2",
-            "gyroscope.noise_density": f"0.005 °/s/√Hz: {_MPU6050}, section 6.1",
-            "gyroscope.bias_instability": "0.0012 °/s by Allan deviation: robotics.stackexchange.com/q/8860",
-            "gyroscope.quantum": f"16.4 LSB/(°/s): {_MPU6050}, section 6.1",
-            "tilt.bias": "the accelerometer's bias over gravity, as levelling by it gives",
+            "accelerometer.noise_density": (400e-6 * _G, f"400 µg/√Hz: {_MPU6050}, section 6.2"),
+            "accelerometer.bias": (
+                50e-3 * _G / 3,
+                f"±50 mg (x, y), three deviations: {_MPU6050}, section 6.2",
+            ),
+            "accelerometer.quantum": (_G / 2048, f"2048 LSB/g: {_MPU6050}, section 6.2"),
+            "gyroscope.noise_density": (0.005 * _DEG, f"0.005 °/s/√Hz: {_MPU6050}, section 6.1"),
+            "gyroscope.bias_instability": (
+                0.0012 * _DEG,
+                "Allan deviation: robotics.stackexchange.com/q/8860",
+            ),
+            "gyroscope.quantum": (_DEG / 16.4, f"16.4 LSB/(°/s): {_MPU6050}, section 6.1"),
+            "tilt.bias": (50e-3 / 3, "the accelerometer's bias over gravity, as levelling by it gives"),
         },
     ),
     "xsens_mti_1": SensorPart(
         "imu",
         "Xsens MTi-1",
         {
-            "accelerometer": {"noise_density": 120e-6 * _G, "bias_instability": 0.03e-3 * _G},
-            "gyroscope": {"noise_density": 0.007 * _DEG, "bias_instability": 10 * _DEG / 3600},
-            "tilt": {"bias": 0.5 * _DEG},
-        },
-        {
-            "accelerometer.noise_density": f"120 µg/√Hz: {_MTI_1}",
-            "accelerometer.bias_instability": f"0.03 mg: {_MTI_1}",
-            "gyroscope.noise_density": f"0.007 °/s/√Hz: {_MTI_1}",
-            "gyroscope.bias_instability": f"10 °/h: {_MTI_1}",
-            "tilt.bias": "estimate: half a degree, as levelling by its accelerometer gives",
+            "accelerometer.noise_density": (120e-6 * _G, f"120 µg/√Hz: {_MTI_1}"),
+            "accelerometer.bias_instability": (0.03e-3 * _G, f"0.03 mg: {_MTI_1}"),
+            "gyroscope.noise_density": (0.007 * _DEG, f"0.007 °/s/√Hz: {_MTI_1}"),
+            "gyroscope.bias_instability": (10 * _DEG / 3600, f"10 °/h: {_MTI_1}"),
+            "tilt.bias": (0.5 * _DEG, "estimate: half a degree, as levelling by its accelerometer gives"),
         },
     ),
     "xsens_mti_630": SensorPart(
         "imu",
         "Xsens MTi-630",
         {
-            "accelerometer": {"noise_density": 60e-6 * _G, "bias_instability": 15e-6 * _G},
-            "gyroscope": {"noise_density": 0.007 * _DEG, "bias_instability": 8 * _DEG / 3600},
-            "tilt": {"bias": 0.2 * _DEG},
-            "heading_from": "magnetometer",
-            "heading": {"bias": 1.0 * _DEG},
-        },
-        {
-            "accelerometer.noise_density": f"60 µg/√Hz: {_MTI_630}",
-            "accelerometer.bias_instability": f"10 to 15 µg: {_MTI_630}",
-            "gyroscope.noise_density": f"0.007 °/s/√Hz: {_MTI_630}",
-            "gyroscope.bias_instability": f"8, read as °/h where the table has °/s: {_MTI_630}",
-            "tilt.bias": f"0.2° RMS, taken as constant over an episode: {_MTI_630}",
-            "heading_from": f"an attitude and heading reference system: {_MTI_630}",
-            "heading.bias": f"1° RMS, taken as constant over an episode: {_MTI_630}",
+            "accelerometer.noise_density": (60e-6 * _G, f"60 µg/√Hz: {_MTI_630}"),
+            "accelerometer.bias_instability": (15e-6 * _G, f"10 to 15 µg: {_MTI_630}"),
+            "gyroscope.noise_density": (0.007 * _DEG, f"0.007 °/s/√Hz: {_MTI_630}"),
+            "gyroscope.bias_instability": (8 * _DEG / 3600, f"8, read as °/h, not °/s: {_MTI_630}"),
+            "tilt.bias": (0.2 * _DEG, f"0.2° RMS, taken as constant over an episode: {_MTI_630}"),
+            "heading_from": ("magnetometer", f"an attitude and heading reference system: {_MTI_630}"),
+            "heading.bias": (1.0 * _DEG, f"1° RMS, taken as constant over an episode: {_MTI_630}"),
         },
     ),
     "adis16448": SensorPart(
         "imu",
         "Analog Devices ADIS16448, as calibrated for a visual-inertial data set",
         {
-            "accelerometer": {"noise_density": 2.0e-3, "bias_walk": 3.0e-3, "quantum": _G / 1200},
-            "gyroscope": {"noise_density": 1.6968e-4, "bias_walk": 1.9393e-5, "quantum": 0.04 * _DEG},
-            "tilt": {"bias": 0.5 * _DEG},
-        },
-        {
-            "accelerometer.noise_density": _EUROC,
-            "accelerometer.bias_walk": _EUROC,
-            "accelerometer.quantum": f"1/1200 g: {_ADIS_DRIVER}",
-            "gyroscope.noise_density": _EUROC,
-            "gyroscope.bias_walk": _EUROC,
-            "gyroscope.quantum": f"0.04 °/s: {_ADIS_DRIVER}",
-            "tilt.bias": "estimate: half a degree, as levelling by its accelerometer gives",
+            "accelerometer.noise_density": (2.0e-3, _EUROC),
+            "accelerometer.bias_walk": (3.0e-3, _EUROC),
+            "accelerometer.quantum": (_G / 1200, f"1/1200 g: {_ADIS_DRIVER}"),
+            "gyroscope.noise_density": (1.6968e-4, _EUROC),
+            "gyroscope.bias_walk": (1.9393e-5, _EUROC),
+            "gyroscope.quantum": (0.04 * _DEG, f"0.04 °/s: {_ADIS_DRIVER}"),
+            "tilt.bias": (0.5 * _DEG, "estimate: half a degree, as levelling by its accelerometer gives"),
         },
     ),
     "rplidar_a1": SensorPart(
         "lidar",
         "SLAMTEC RPLIDAR A1M8",
-        {"rate_hz": 5.0, "noise_share": 0.01 / 3, "half_return_m": 12.0},
         {
-            "rate_hz": f"1 to 10 Hz, typically 5.5, of which 5 divides the usual 20: {_RPLIDAR_A1}",
-            "noise_share": f"resolution < 1 % of the distance, taken as three deviations: {_RPLIDAR_A1}",
-            "half_return_m": f"12 m for white objects, taken as where half return: {_RPLIDAR_A1}",
+            "rate_hz": (5.0, f"1 to 10 Hz, typically 5.5, of which 5 divides the usual 20: {_RPLIDAR_A1}"),
+            "noise_share": (0.01 / 3, f"resolution < 1 %, as three deviations: {_RPLIDAR_A1}"),
+            "half_return_m": (12.0, f"12 m for white objects, taken as where half return: {_RPLIDAR_A1}"),
         },
     ),
     "rplidar_a2m8": SensorPart(
         "lidar",
         "SLAMTEC RPLIDAR A2M8",
-        {"rate_hz": 10.0, "noise_share": 0.01 / 3, "half_return_m": 12.0},
         {
-            "rate_hz": f"typically 10 Hz: {_RPLIDAR_A2}",
-            "noise_share": "estimate: as the A1M8",
-            "half_return_m": f"range of 12 m, taken as where half return: {_RPLIDAR_A2}",
+            "rate_hz": (10.0, f"typically 10 Hz: {_RPLIDAR_A2}"),
+            "noise_share": (0.01 / 3, "estimate: as the A1M8"),
+            "half_return_m": (12.0, f"range of 12 m, taken as where half return: {_RPLIDAR_A2}"),
         },
     ),
     "rplidar_a3": SensorPart(
         "lidar",
         "SLAMTEC RPLIDAR A3M1 in its outdoor mode",
-        {"rate_hz": 10.0, "noise_share": 0.01 / 3, "half_return_m": 20.0, "reflectance": (0.16, 1.0)},
         {
-            "rate_hz": f"typically 10 Hz: {_RPLIDAR_A3}",
-            "noise_share": "estimate: as the A1M8",
-            "half_return_m": f"20 m for white objects, taken as where half return: {_RPLIDAR_A3}",
-            "reflectance": f"black objects to 10 m where white ones to 25, squared: {_RPLIDAR_A3}",
+            "rate_hz": (10.0, f"typically 10 Hz: {_RPLIDAR_A3}"),
+            "noise_share": (0.01 / 3, "estimate: as the A1M8"),
+            "half_return_m": (20.0, f"20 m for white objects, taken as where half return: {_RPLIDAR_A3}"),
+            "reflectance": ((0.16, 1.0), f"black objects to 10 m, white to 25, squared: {_RPLIDAR_A3}"),
         },
     ),
     "hokuyo_utm_30lx": SensorPart(
         "lidar",
         "Hokuyo UTM-30LX, which scans at 40 Hz: each control step",
-        {"noise_m": 0.01, "half_return_m": 30.0},
         {
-            "noise_m": "estimate: repeatability of 10 mm, remembered from its specification, not read again",
-            "half_return_m": "range of 30 m, taken as where half return: BlenSor's generic LIDAR",
+            "noise_m": (0.01, "estimate: repeatability of 10 mm, remembered, not read again"),
+            "half_return_m": (30.0, "range of 30 m, taken as where half return: BlenSor's generic LIDAR"),
         },
     ),
     "velodyne_vlp16": SensorPart(
         "lidar",
         "Velodyne VLP-16, one of its rings",
-        {"rate_hz": 10.0, "noise_m": 0.03, "half_return_m": 100.0},
         {
-            "rate_hz": "up to 20 Hz, of which 10 is usual: NitinJSanket/RoboticsHardware, LIDAR.md",
-            "noise_m": "accuracy of 3 cm: NitinJSanket/RoboticsHardware, LIDAR.md",
-            "half_return_m": "range of 100 m, taken as where half return: the same table",
+            "rate_hz": (10.0, "up to 20 Hz, of which 10 is usual: NitinJSanket/RoboticsHardware, LIDAR.md"),
+            "noise_m": (0.03, "accuracy of 3 cm: NitinJSanket/RoboticsHardware, LIDAR.md"),
+            "half_return_m": (100.0, "range of 100 m, taken as where half return: the same table"),
         },
     ),
     "ouster_os1": SensorPart(
         "lidar",
         "Ouster OS1, one of its rings",
         {
-            "rate_hz": 10.0,
-            "noise_m": 0.015,
-            "quantum_m": 0.012,
-            "half_return_m": 120.0,
-            "reflectance": (1 / 9, 1.0),
-        },
-        {
-            "rate_hz": f"10 to 20 Hz: {_OS1}",
-            "noise_m": f"one deviation of 1.5 cm for strong signals: {_OS1}",
-            "quantum_m": f"range resolution of 1.2 cm: {_OS1}",
-            "half_return_m": f"120 m at 80 % reflectance, taken as where half return: {_OS1}",
-            "reflectance": f"40 m at 10 % where 120 m at 80 %, squared: {_OS1}",
+            "rate_hz": (10.0, f"10 to 20 Hz: {_OS1}"),
+            "noise_m": (0.015, f"one deviation of 1.5 cm for strong signals: {_OS1}"),
+            "quantum_m": (0.012, f"range resolution of 1.2 cm: {_OS1}"),
+            "half_return_m": (120.0, f"120 m at 80 % reflectance, taken as where half return: {_OS1}"),
+            "reflectance": ((1 / 9, 1.0), f"40 m at 10 % where 120 m at 80 %, squared: {_OS1}"),
         },
     ),
     "dune_paper": SensorPart(
         "lidar",
         "no part, but what the published simulation has written and switched off",
-        {"noise_m": 0.05, "dropout": 0.05},
         {
-            "noise_m": "the published simulation's code: deviation of 0.05 m",
-            "dropout": "the published simulation's code: 5 % to the largest range",
+            "noise_m": (0.05, "the published simulation's code: deviation of 0.05 m"),
+            "dropout": (0.05, "the published simulation's code: 5 % to the largest range"),
         },
     ),
     "raspberry_pi_v2": SensorPart(
         "camera",
         "Raspberry Pi camera module 2 (Sony IMX219), 1640 by 1232 pixels",
         {
-            "readout_s": 1232 * 3448 / 182.4e6,
-            "shutter_s": 0.01,
-            "auto_exposure_s": 0.5,
-            "full_well_e": 4265.0,
-            "read_noise_e": 3.0,
-        },
-        {
-            "readout_s": _IMX219,
-            "shutter_s": "estimate: a hundredth of a second",
-            "auto_exposure_s": "estimate: half a second",
-            "full_well_e": "estimate: the IMX477's 3400 electrons/µm² on pixels of 1.12 µm",
-            "read_noise_e": "estimate: the IMX477's",
+            "readout_s": (1232 * 3448 / 182.4e6, _IMX219),
+            "shutter_s": (0.01, "estimate: a hundredth of a second"),
+            "auto_exposure_s": (0.5, "estimate: half a second"),
+            "full_well_e": (4265.0, "estimate: the IMX477's 3400 electrons/µm² on pixels of 1.12 µm"),
+            "read_noise_e": (3.0, "estimate: the IMX477's"),
         },
     ),
     "raspberry_pi_hq": SensorPart(
         "camera",
         "Raspberry Pi high quality camera (Sony IMX477); its time of readout is not known here",
-        {"shutter_s": 0.01, "auto_exposure_s": 0.5, "full_well_e": 8180.0, "read_noise_e": 3.0},
         {
-            "shutter_s": "estimate: a hundredth of a second",
-            "auto_exposure_s": "estimate: half a second",
-            "full_well_e": _IMX477,
-            "read_noise_e": _IMX477,
+            "shutter_s": (0.01, "estimate: a hundredth of a second"),
+            "auto_exposure_s": (0.5, "estimate: half a second"),
+            "full_well_e": (8180.0, _IMX477),
+            "read_noise_e": (3.0, _IMX477),
         },
     ),
     "realsense_d435": SensorPart(
         "camera",
         "Intel RealSense D435, its depth; its colours stay as they are",
         {
-            "depth_noise_per_m": 0.08 / (424 * 0.05),
-            "depth_quantum_m": 0.001,
-            "depth_near_m": 0.11,
-            "depth_far_m": 10.0,
-            "depth_dropout": 0.02,
-        },
-        {
-            "depth_noise_per_m": _D4XX,
-            "depth_quantum_m": "estimate: the millimetre of its 16-bit depth, as remembered",
-            "depth_near_m": "0.11 m: Intel communities, thread 121652",
-            "depth_far_m": "estimate: ten metres",
-            "depth_dropout": "estimate: one pixel in fifty",
+            "depth_noise_per_m": (0.08 / (424 * 0.05), _D4XX),
+            "depth_quantum_m": (0.001, "estimate: the millimetre of its 16-bit depth, as remembered"),
+            "depth_near_m": (0.11, "0.11 m: Intel communities, thread 121652"),
+            "depth_far_m": (10.0, "estimate: ten metres"),
+            "depth_dropout": (0.02, "estimate: one pixel in fifty"),
         },
     ),
     "zed_f9p": SensorPart(
         "position",
         "u-blox ZED-F9P with corrections from a base station (RTK), beside a compass",
         {
-            "rate_hz": 10.0,
-            "place": {"noise": 0.01 / _CEP},
-            "height": {"noise": 0.02 / _CEP},
-            "heading": {"bias": 2.5 * _DEG},
-        },
-        {
-            "rate_hz": "up to 20 Hz with RTK, of which 10 is taken: docs.sparkfun.com, RTK firmware, GNSS",
-            "place.noise": f"0.01 m + 1 ppm CEP, near the base: {_F9}",
-            "height.noise": "estimate: twice the horizontal error",
-            "heading.bias": "estimate: two and a half degrees, a compass's, constant over an episode",
+            "rate_hz": (10.0, "up to 20 Hz with RTK, 10 taken: docs.sparkfun.com, RTK firmware, GNSS"),
+            "place.noise": (0.01 / _CEP, f"0.01 m + 1 ppm CEP, near the base: {_F9}"),
+            "height.noise": (0.02 / _CEP, "estimate: twice the horizontal error"),
+            "heading.bias": (2.5 * _DEG, "estimate: a compass's, constant over an episode"),
         },
     ),
 }
