@@ -1,9 +1,13 @@
-"""Where actors without a goal of their task go: places one after another, or random ones."""
+"""Ways of actors without a task: places in turn, or random ones; `random_waypoint` and `patrol`."""
+
+from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from dune_rl.behaviours.steering import SteeredBehaviour, draws_of
+from dune_rl.behaviours.steering import PauseRange, Range, Speed, SteeredBehaviour, draws_of
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import unit_vectors
 from dune_rl.state.state import GroupState, State
@@ -23,6 +27,7 @@ _NEARER_M = 0.1
 # A target is reached within this distance, and agents slow down within that [m].
 _NEAR_M = 0.4
 _SLOW_M = 0.8
+_PATROL_RANGE_M = 1_000.0
 
 
 class Destinations:
@@ -38,11 +43,8 @@ class Destinations:
         self, num_rows: int, name: str, places: Array, range_m: float, pause_s: tuple[float, float]
     ) -> None:
         self._name, self._places, self._range_m, self._pause_s = name, places, range_m, pause_s
-        self.target_w = np.zeros((num_rows, 2))
-        self._home_w = np.zeros((num_rows, 2))
-        self._pause_left_s = np.zeros(num_rows)
-        self._since_nearer_s = np.zeros(num_rows)
-        self._nearest_m = np.zeros(num_rows)
+        self.target_w, self._home_w = np.zeros((2, num_rows, 2))
+        self._pause_left_s, self._since_nearer_s, self._nearest_m = np.zeros((3, num_rows))
         self._arrived = np.zeros(num_rows, bool)
         self._turn = np.zeros(num_rows, np.int64)
 
@@ -53,7 +55,10 @@ class Destinations:
         """
         position, step_s = group.motion.position_w[:, :2], group.episode.step_s
         if fresh.any():
-            self._begin(fresh, position, group.count)
+            self._home_w = np.where(fresh[:, None], position, self._home_w)
+            self._pause_left_s[fresh] = self._since_nearer_s[fresh] = 0.0
+            self._arrived = self._arrived & ~fresh
+            self._turn = np.where(fresh, np.arange(len(fresh)) % group.count, self._turn)
         distance = np.hypot(*(self.target_w - position).T)
         nearer = distance < self._nearest_m - _NEARER_M
         self._nearest_m = np.where(nearer, distance, self._nearest_m)
@@ -69,14 +74,6 @@ class Destinations:
         if chooses.any():
             self._choose(np.flatnonzero(chooses), state, group, reach_m, ~fresh)
         return self._arrived
-
-    def _begin(self, fresh: Flags, position: Array, count: int) -> None:
-        self._home_w = np.where(fresh[:, None], position, self._home_w)
-        for values in (self._pause_left_s, self._since_nearer_s):
-            values[fresh] = 0.0
-        self._arrived = self._arrived & ~fresh
-        member = np.arange(len(fresh)) % count
-        self._turn = np.where(fresh, member, self._turn)
 
     def _pause(self, group: GroupState, row: int) -> float:
         shortest, longest = self._pause_s
@@ -136,11 +133,24 @@ def _rise(state: State, points: Array, scenes: NDArray[np.int64]) -> Array:
 
 
 class DestinedBehaviour(SteeredBehaviour):
-    """A behaviour that goes to `Destinations`, or, with robots, to the goals of their task."""
+    """A behaviour that goes to `Destinations`, or, with robots, to the goals of their task.
 
-    def __init__(self, num_rows: int, speed_mps: float, destinations: Destinations) -> None:
+    `stream_name` is that of its random draws; the other arguments are as in `Destinations`.
+    """
+
+    stream_name: str
+
+    def __init__(
+        self,
+        num_rows: int,
+        speed_mps: float,
+        places: Sequence[tuple[float, float]],
+        range_m: float,
+        pause_s: tuple[float, float],
+    ) -> None:
         super().__init__(num_rows, speed_mps)
-        self._destinations = destinations
+        places_w = np.array(places, float).reshape(-1, 2)
+        self._destinations = Destinations(num_rows, self.stream_name, places_w, range_m, pause_s)
 
     def targets(self, state: State, group: GroupState) -> tuple[Array, Flags]:
         """Where the agents go now, (N, 2) [m], and which of them pause, (N,)."""
@@ -159,3 +169,42 @@ class DestinedBehaviour(SteeredBehaviour):
         """Velocities (N, 2) to `target_w` (N, 2), at `speed_mps` (N,) until short of it (Reynolds 1999)."""
         direction, distance = unit_vectors(target_w - group.motion.position_w[:, :2])
         return direction * (speed_mps * np.minimum(distance / _SLOW_M, 1.0))[:, None]
+
+
+class RandomWaypoint(DestinedBehaviour):
+    """Goes straight to a random place within `range_m` of where it started, pauses, and goes to the next one.
+
+    The mobility model of Johnson & Maltz, "Dynamic source routing in ad hoc wireless networks" (1996), of one
+    speed, with ways that are free of obstacles, and past everybody.
+    """
+
+    stream_name = "random_waypoint"
+    motion_models = ("holonomic", "unicycle", "bicycle")
+
+    def __init__(
+        self, num_rows: int, *, speed_mps: Speed = 1.0, range_m: Range = 8.0, pause_s: PauseRange = (0.0, 3.0)
+    ) -> None:
+        super().__init__(num_rows, speed_mps, (), range_m, pause_s)
+
+
+class Patrol(DestinedBehaviour):
+    """Goes to `places` in turn, straight and past everybody, waits at each, and begins again after the last.
+
+    Member k of the group begins at place k, so that members are spread. A place that cannot be reached,
+    because something stands in the straight way, is left out after 4 s without progress.
+    """
+
+    stream_name = "patrol"
+    motion_models = ("holonomic", "unicycle", "bicycle")
+
+    def __init__(
+        self,
+        num_rows: int,
+        *,
+        places: Annotated[
+            tuple[tuple[float, float], ...], Field(min_length=2, description="points [x, y] in turn [m]")
+        ],
+        speed_mps: Speed = 1.0,
+        wait_s: PauseRange = (2.0, 2.0),
+    ) -> None:
+        super().__init__(num_rows, speed_mps, places, _PATROL_RANGE_M, wait_s)

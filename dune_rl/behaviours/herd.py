@@ -5,9 +5,8 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from dune_rl.behaviours.destinations import Destinations, DestinedBehaviour
-from dune_rl.behaviours.ranges import PauseRange, Places, Range, Speed
-from dune_rl.behaviours.steering import nearest_of
+from dune_rl.behaviours.destinations import DestinedBehaviour
+from dune_rl.behaviours.steering import PauseRange, Places, Range, Speed, nearest_of
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import unit_vectors
 from dune_rl.state.state import GroupState, State
@@ -29,6 +28,8 @@ class Herd(DestinedBehaviour):
     `flight_m` are run away from.
     """
 
+    stream_name = "herd"
+
     def __init__(
         self,
         num_rows: int,
@@ -39,21 +40,14 @@ class Herd(DestinedBehaviour):
         alignment: Weight = 0.3,
         separation: Weight = 1.0,
         migration: Weight = 0.7,
-        sight_m: Annotated[
-            float, Field(gt=0.0, le=1_000.0, description="how far members see each other [m]")
-        ] = 20.0,
-        spacing_m: Annotated[
-            float, Field(gt=0.0, le=100.0, description="gap between members' centres [m]")
-        ] = 1.2,
-        flight_m: Annotated[
-            float, Field(ge=0.0, le=100.0, description="how near robots let them run [m]")
-        ] = 2.5,
+        sight_m: Annotated[float, Field(gt=0.0, le=1_000.0, description="how far members see [m]")] = 20.0,
+        spacing_m: Annotated[float, Field(gt=0.0, le=100.0, description="between two centres [m]")] = 1.2,
+        flight_m: Annotated[float, Field(ge=0.0, le=100.0, description="nearer robots scare [m]")] = 2.5,
         places: Places = (),
         range_m: Range = 10.0,
         pause_s: PauseRange = (4.0, 12.0),
     ) -> None:
-        pastures = np.array(places, float).reshape(-1, 2)
-        super().__init__(num_rows, speed_mps, Destinations(num_rows, "herd", pastures, range_m, pause_s))
+        super().__init__(num_rows, speed_mps, places, range_m, pause_s)
         self._run_mps, self._sight_m, self._spacing_m = run_mps, sight_m, spacing_m
         self._flight_m = flight_m
         self._weights = cohesion, alignment, separation, migration

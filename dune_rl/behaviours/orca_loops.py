@@ -163,20 +163,10 @@ def _add_agent_plane(
 
 @compile_function
 def avoid_collisions(
-    position: Any,
-    velocity: Any,
-    reach: Any,
-    share: Any,
-    first: int,
-    obstacle_distance: Any,
-    obstacle_direction: Any,
-    wanted: Any,
-    limit: Any,
-    sight_m: float,
-    horizons_s: Any,
-    step_s: float,
+    position: Any, velocity: Any, reach: Any, share: Any, first: int, obstacle_distance: Any,
+    obstacle_direction: Any, wanted: Any, limit: Any, sight_m: float, horizons_s: Any, step_s: float,
     found: Any,
-) -> None:
+) -> None:  # fmt: skip
     """Velocities `found` (M, G, 2) [m/s] near the `wanted` ones, at which the agents collide with nobody.
 
     `position`, `velocity` (M, K, 2) and `reach` (K,) [m] are those of all bodies; the agents are the G bodies

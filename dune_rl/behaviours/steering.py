@@ -1,8 +1,10 @@
 """What scripted actors have in common: from a wanted velocity, past everybody else, to the body's action."""
 
 from abc import ABC, abstractmethod
+from typing import Annotated
 
 import numpy as np
+from pydantic import AfterValidator, Field
 
 from dune_rl.behaviours.drivers.context import BoundBehaviour
 from dune_rl.behaviours.orca_loops import avoid_collisions
@@ -10,6 +12,26 @@ from dune_rl.core.seeding import stream
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import wrap_angle
 from dune_rl.state.state import GroupState, State
+
+
+def _rising(limits: tuple[float, float]) -> tuple[float, float]:
+    if not 0.0 <= limits[0] <= limits[1]:
+        raise ValueError(f"give the least, at least 0, and then the greatest (got {list(limits)})")
+    return limits
+
+
+Speed = Annotated[float, Field(gt=0.0, le=50.0, description="speed at which it goes [m/s]")]
+Who = Annotated[str, Field(min_length=1, description="robots, or the name of a group")]
+Range = Annotated[float, Field(ge=2.0, le=1_000.0, description="how far from its start, along x and y [m]")]
+Places = Annotated[
+    tuple[tuple[float, float], ...],
+    Field(description="points [x, y] [m] in turn; none: random places within range_m"),
+]
+PauseRange = Annotated[
+    tuple[float, float],
+    AfterValidator(_rising),
+    Field(description="shortest and longest pause at a place [s]"),
+]
 
 # Below this speed a body keeps its heading [m/s].
 _STANDS_MPS = 0.03

@@ -3,8 +3,7 @@
 from collections.abc import Sequence
 from functools import partial
 
-from dune_rl.behaviours.paths.follow_path import FollowPath
-from dune_rl.behaviours.paths.follower import PathConf, PathFollower
+from dune_rl.behaviours.paths.follower import FollowPath, PathConf, PathFollower
 from dune_rl.behaviours.trajectory import TrajectoryFollower
 from dune_rl.bodies.settings import BodySettings
 from dune_rl.env.agent_group import AgentGroup, FileTrajectories, GroupSetup
@@ -163,7 +162,7 @@ class _SharedParts:
         self._num_on_paths += 1
         if isinstance(path, FileTrajectories):
             on_file = TrajectoryFollower(setup.count, conf.speed_mps, self._worlds, setup.name, path.given)
-            moves = BehaviourController(FollowPath(on_file))
+            moves = BehaviourController(FollowPath(on_file.advance))
             return TrajectoryStarts(on_file, setup.name, radius_m, reach_m), moves
         deepest = conf.max_water_m if conf.flight is None else _ANY_DEPTH_M
         follower = PathFollower(
@@ -179,7 +178,7 @@ class _SharedParts:
             steers=not setup.is_scripted,
             reach_m=reach_m,
         )
-        return starts, BehaviourController(FollowPath(follower)) if setup.is_scripted else None
+        return starts, BehaviourController(FollowPath(follower.advance)) if setup.is_scripted else None
 
 
 def add_sensors(groups: Sequence[AgentGroup], builder: StateBuilder, scenes: SceneManager) -> None:

@@ -53,15 +53,9 @@ def find_ends(directions: Any, ranges: Any, limits: Any, origin: Any, rotation: 
 
 @compile_function
 def nearest_seen_from(
-    ends: Any,
-    origin: Any,
-    rotation: Any,
-    first: Any,
-    per_rad: Any,
-    full_circle: bool,
-    limits: Any,
+    ends: Any, origin: Any, rotation: Any, first: Any, per_rad: Any, full_circle: bool, limits: Any,
     found: Any,
-) -> None:
+) -> None:  # fmt: skip
     """Nearest in each segment, `found` (N, S), of the points `ends` (N, B, 3) in the world.
 
     Sensors are at `origin` (N, 3), turned by `rotation` (N, 3, 3). Segments begin at the bearing `first`

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from dune_rl.geometry.arrays import Array, Floats
-from dune_rl.geometry.batched import AnyRays
+from dune_rl.geometry.shared_per_scene import AnyRays
 from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.sensors.beam_loops import turn_beams
 from dune_rl.sensors.sensor import Mount, mount_position

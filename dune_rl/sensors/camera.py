@@ -94,10 +94,6 @@ class Camera:
         self._coloured = bool({"rgb", "grey"} & set(conf.outputs))
         self._tables()
 
-    def select_scenes(self, scenes: NDArray[np.int64]) -> "Camera":
-        """Itself: it is the same for all scenes; see `Cameras`."""
-        return self
-
     def _tables(self) -> None:
         baked = self._baked
         rows, columns = baked.ground.shape[:2]
@@ -180,19 +176,9 @@ class Camera:
         start = ((origin[:, :2] - self._corner) * self._texels).astype(np.float32)
         colour = np.empty(len(face), np.uint32)
         look_up_colours(
-            directions,
-            ranges,
-            face,
-            start,
-            self._texels,
-            self._last_texel,
-            self._baked.ground.shape[1],
-            self._ground,
-            self._baked.ground_faces,
-            self._faces,
-            self._sky,
-            colour,
-        )
+            directions, ranges, face, start, self._texels, self._last_texel, self._baked.ground.shape[1],
+            self._ground, self._baked.ground_faces, self._faces, self._sky, colour,
+        )  # fmt: skip
         if self._baked.texture is not None:
             self._put_pictures(colour, origin, directions, ranges, face)
         return colour

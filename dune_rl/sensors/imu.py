@@ -61,15 +61,9 @@ class Imu:
         """
         velocity, self.acceleration_b = np.empty_like(self._previous_velocity), np.empty((len(rotation), 3))
         _accelerate(
-            rotation,
-            velocity_w,
-            angular_w,
-            self._mount,
-            step_s,
-            self._previous_velocity,
-            velocity,
+            rotation, velocity_w, angular_w, self._mount, step_s, self._previous_velocity, velocity,
             self.acceleration_b,
-        )
+        )  # fmt: skip
         self._previous_velocity = velocity
         return self.acceleration_b
 
@@ -87,15 +81,9 @@ class Imu:
 
 @compile_function
 def _accelerate(
-    rotation: Any,
-    velocity_w: Any,
-    angular_w: Any,
-    mount: Any,
-    step_s: float,
-    before: Any,
-    velocity: Any,
+    rotation: Any, velocity_w: Any, angular_w: Any, mount: Any, step_s: float, before: Any, velocity: Any,
     acceleration: Any,
-) -> None:
+) -> None:  # fmt: skip
     # Of the mount: v + omega x (R mount), and the change of that in the body frame.
     x, y, z = mount
     for row in range(len(rotation)):

@@ -21,19 +21,9 @@ def tile_order(height: int, width: int, size: int = 4) -> Any:
 
 @compile_function
 def look_up_colours(
-    directions: Any,
-    ranges: Any,
-    faces: Any,
-    start: Any,
-    texels: Any,
-    last: Any,
-    columns: int,
-    ground: Any,
-    ground_faces: int,
-    colours: Any,
-    sky: Any,
-    found: Any,
-) -> None:
+    directions: Any, ranges: Any, faces: Any, start: Any, texels: Any, last: Any, columns: int, ground: Any,
+    ground_faces: int, colours: Any, sky: Any, found: Any,
+) -> None:  # fmt: skip
     """Packed colours `found` (N,) of rays that meet `faces` (N,), -1 for none, at `ranges` (N,).
 
     `start` (M, 2) is where the rays of each picture start on the map of the ground, in texels; `texels` (2,)

@@ -58,13 +58,9 @@ class Mppi(BoundBehaviour):
         num_rows: int,
         *,
         samples: Annotated[int, Field(ge=8, le=100_000, description="sequences of commands")] = 256,
-        horizon_s: Annotated[
-            float, Field(ge=0.5, le=10.0, description="time that they cover, in steps of 0.1 s [s]")
-        ] = 2.5,
+        horizon_s: Annotated[float, Field(ge=0.5, le=10.0, description="in steps of 0.1 s [s]")] = 2.5,
         temperature: Annotated[float, Field(gt=0.0, le=100.0, description="of their weights")] = 0.2,
-        margin_m: Annotated[
-            float, Field(ge=0.01, le=5.0, description="distance at which returns begin to cost [m]")
-        ] = 0.4,
+        margin_m: Annotated[float, Field(ge=0.01, le=5.0, description="where returns cost [m]")] = 0.4,
         seed: Annotated[int, Field(ge=0, description="of the sequences")] = 0,
     ) -> None:
         self._num_rows, self._samples, self._seed = num_rows, samples, seed
@@ -97,25 +93,15 @@ class Mppi(BoundBehaviour):
         self._map = LocalMap(self._num_rows, middle, self._mount)
         # Whether the scan covers what is behind.
         sees_behind = np.abs(np.abs(of_beams) - np.pi).min() < np.deg2rad(20.0)
-        self._weights = (
-            *_WEIGHTS[:4],
-            _WEIGHTS[4] if sees_behind else _BLIND_REVERSE_COST_PER_M,
-            _WEIGHTS[5],
-        )
-        self._noise = self._sample_noise(context)
-
-    def _sample_noise(self, context: DriverContext) -> Array:
-        """Deviations (sets, S, H, 2) of speeds [m/s] and yaw rates [rad/s]; the first sample has none."""
+        reverse = _WEIGHTS[4] if sees_behind else _BLIND_REVERSE_COST_PER_M
+        self._weights = (*_WEIGHTS[:4], reverse, _WEIGHTS[5])
+        # Deviations (sets, S, H, 2) of speeds [m/s] and yaw rates [rad/s]; the first sample has none.
         vehicle = context.vehicle
         scale = np.array([0.4 * vehicle.max_speed_mps, 0.5 * vehicle.max_yaw_rate_radps])
         shape = (_NOISE_SETS, self._samples, _KNOTS, 2)
         knots = stream(self._seed, "mppi").normal(size=shape) * scale
         knots[:, 0] = 0.0
-        place = np.linspace(0.0, _KNOTS - 1.0, self._horizon)
-        low = np.minimum(place.astype(np.int64), _KNOTS - 2)
-        share = (place - low)[:, None]
-        noise: Array = knots[:, :, low] * (1.0 - share) + knots[:, :, low + 1] * share
-        return noise
+        self._noise = _interpolate(knots, np.linspace(0.0, _KNOTS - 1.0, self._horizon))
 
     def reset(self, mask: Flags, group: GroupState) -> None:
         """Forget the plans of the bodies in `mask` (N,)."""
@@ -133,9 +119,8 @@ class Mppi(BoundBehaviour):
         distance, bearing = np.asarray(readings["goal"], np.float64).T
         goals = np.column_stack([distance * np.cos(bearing), distance * np.sin(bearing)])
         twists = np.ascontiguousarray(readings["velocity"][:, :2], np.float64)
-        points, counts, movers = self._obstacles(
-            readings["lidar"].astype(np.float64), twists, goals, group.episode.step_s
-        )
+        ranges = readings["lidar"].astype(np.float64)
+        points, counts, movers = self._obstacles(ranges, twists, goals, group.episode.step_s)
         limits = (
             vehicle.min_speed_mps,
             vehicle.max_speed_mps,
@@ -153,7 +138,9 @@ class Mppi(BoundBehaviour):
         )  # fmt: skip
         chosen = self._nominal[:, 0].copy()
         self._recovery.record_command(chosen[:, 0])
-        self._shift(group.episode.step_s)
+        # Plans move on by a control step; the last control is kept.
+        place = np.arange(self._horizon) + group.episode.step_s / _STEP_S
+        self._nominal = _interpolate(self._nominal, np.minimum(place, self._horizon - 1.0))
         self._steps = self._steps + 1
         heading = np.clip(chosen[:, 1] / vehicle.heading_gain_per_s, -np.pi, np.pi)
         return np.column_stack([chosen[:, 0], heading])
@@ -174,24 +161,22 @@ class Mppi(BoundBehaviour):
         movers = np.concatenate([tracker.moving, np.full((*tracker.moving.shape[:2], 1), _MOVER_M)], axis=-1)
         points = (ranges[:, :, None, None] * self._directions + self._mount).reshape(self._num_rows, -1, 2)
         moves: Flags = np.abs(tracker.velocities).max(axis=2) > 0.0
-        self._note_blockages(step_s)
+        # What keeps bodies from moving is an obstacle of their maps, and ends the plans that led there.
+        nobody = np.zeros(self._num_rows, bool)
+        blocked = self._recovery.update(tracker.poses, nobody, vehicle.length_m, step_s)
+        for row in np.flatnonzero(blocked).tolist():
+            self._map.block(row, self._recovery.blocked[row][-1])
+        self._nominal[blocked] = 0.0
         self._map.update(tracker.poses, ranges, sees, moves, goals)
         rests = sees & (ranges < reach) & ~moves
         seen = np.repeat(rests, _POINTS_PER_SEGMENT, axis=1)
         order = np.argsort(~seen, axis=1, kind="stable")
         return np.take_along_axis(points, order[:, :, None], axis=1), seen.sum(axis=1), movers
 
-    def _note_blockages(self, step_s: float) -> None:
-        """Enter what keeps bodies from moving into their maps, and forget the plans that led there."""
-        poses, nobody = self._tracker.poses, np.zeros(self._num_rows, bool)
-        blocked = self._recovery.update(poses, nobody, self.context.vehicle.length_m, step_s)
-        for row in np.flatnonzero(blocked).tolist():
-            self._map.block(row, self._recovery.blocked[row][-1])
-        self._nominal[blocked] = 0.0
 
-    def _shift(self, step_s: float) -> None:
-        """Move the plans on by a control step; the last control is kept."""
-        place = np.minimum(np.arange(self._horizon) + step_s / _STEP_S, self._horizon - 1.0)
-        low = np.minimum(place.astype(np.int64), self._horizon - 2)
-        share = (place - low)[:, None]
-        self._nominal = self._nominal[:, low] * (1.0 - share) + self._nominal[:, low + 1] * share
+def _interpolate(values: Array, place: Array) -> Array:
+    """The values (..., P, 2) at fractional places (H,) among P, linear between two: (..., H, 2)."""
+    low = np.minimum(place.astype(np.int64), values.shape[-2] - 2)
+    share = (place - low)[:, None]
+    found: Array = values[..., low, :] * (1.0 - share) + values[..., low + 1, :] * share
+    return found

@@ -62,17 +62,9 @@ def _distance_to_movers(x: float, y: float, yaw: float, time: float, movers: Any
 
 @compile_function
 def rollout_cost(
-    controls: Any,
-    twist: Any,
-    goal: Any,
-    points: Any,
-    movers: Any,
-    way: Any,
-    vehicle: Any,
-    weights: Any,
-    margins_m: Any,
-    model: Any,
-) -> float:
+    controls: Any, twist: Any, goal: Any, points: Any, movers: Any, way: Any, vehicle: Any, weights: Any,
+    margins_m: Any, model: Any,
+) -> float:  # fmt: skip
     """Cost of `controls` (H, 2: speed, yaw rate) from the origin, by a unicycle model with lags.
 
     `model` is (time of a step [s], time constant of both responses [s]); `twist` (2,) is the present speed
@@ -118,21 +110,9 @@ def rollout_cost(
 
 @compile_function
 def update_controls(
-    nominal: Any,
-    noise: Any,
-    twists: Any,
-    goals: Any,
-    points: Any,
-    counts: Any,
-    movers: Any,
-    mover_counts: Any,
-    way: Any,
-    vehicle: Any,
-    weights: Any,
-    margins_m: Any,
-    model: Any,
-    temperature: float,
-) -> None:
+    nominal: Any, noise: Any, twists: Any, goals: Any, points: Any, counts: Any, movers: Any,
+    mover_counts: Any, way: Any, vehicle: Any, weights: Any, margins_m: Any, model: Any, temperature: float,
+) -> None:  # fmt: skip
     """One iteration of path integral control for each row, which changes `nominal` (N, H, 2).
 
     `noise` (N, S, H, 2) is added to the nominal controls: S samples for each row. `points` (N, P, 2) [m] are

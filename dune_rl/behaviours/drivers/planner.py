@@ -48,19 +48,10 @@ class Planner(BoundBehaviour):
         self,
         num_rows: int,
         *,
-        speed_mps: Annotated[
-            float, Field(gt=0.0, le=50.0, description="limit of the speed, beside the body's own [m/s]")
-        ] = 50.0,
-        max_slope_deg: Annotated[
-            float, Field(gt=0.0, lt=90.0, description="steepest ground on a route [deg]")
-        ] = 25.0,
-        actor_radius_m: Annotated[
-            float, Field(ge=0.0, le=5.0, description="radius of the circle that stands for a moving body [m]")
-        ] = 0.35,
-        margin_m: Annotated[
-            float,
-            Field(gt=0.0, le=2.0, description="room beside obstacles that the follower should keep [m]"),
-        ] = 0.1,
+        speed_mps: Annotated[float, Field(gt=0.0, le=50.0, description="limit of the speed [m/s]")] = 50.0,
+        max_slope_deg: Annotated[float, Field(gt=0.0, lt=90.0, description="steepest route [deg]")] = 25.0,
+        actor_radius_m: Annotated[float, Field(ge=0.0, le=5.0, description="of moving bodies [m]")] = 0.35,
+        margin_m: Annotated[float, Field(gt=0.0, le=2.0, description="room beside obstacles [m]")] = 0.1,
     ) -> None:
         self._num_rows, self._speed_mps = num_rows, speed_mps
         self._max_slope_deg, self._actor_radius_m, self._margin_m = max_slope_deg, actor_radius_m, margin_m
@@ -127,26 +118,20 @@ class Planner(BoundBehaviour):
         vehicle = self.context.vehicle
         radius, narrowest = vehicle.footprint_radius_m, vehicle.width_m / 2 + _SIDE_ROOM_M
         for row in new.tolist():
-            known = shared_route_map(
-                worlds.worlds[row // group.count], radius, self._max_slope_deg, narrowest
-            )
-            routes = known.routes_to(
-                goals[row], group.motion.position_w[row, :2], self._recovery.blocked[row]
-            )
+            world, start = worlds.worlds[row // group.count], group.motion.position_w[row, :2]
+            known = shared_route_map(world, radius, self._max_slope_deg, narrowest)
+            routes = known.routes_to(goals[row], start, self._recovery.blocked[row])
             size = routes.cost.size
-            self._make_room(size)
+            missing = size - self._fields.shape[1]
+            if missing > 0:
+                wider = ((0, 0), (0, missing))
+                self._fields, self._clearances = np.pad(self._fields, wider), np.pad(self._clearances, wider)
+                self._waypoints = np.pad(self._waypoints, wider)
             self._grids[row] = known.x[0], known.y[0], 1.0 / known.cell_m, *routes.cost.shape
             self._fields[row, :size] = routes.cost.ravel()
             self._waypoints[row, :size] = routes.waypoint.ravel()
             self._clearances[row, :size] = routes.clearance.ravel()
         self._goals_w = goals.copy()
-
-    def _make_room(self, cells: int) -> None:
-        missing = cells - self._fields.shape[1]
-        if missing > 0:
-            wider = ((0, 0), (0, missing))
-            self._fields, self._clearances = np.pad(self._fields, wider), np.pad(self._clearances, wider)
-            self._waypoints = np.pad(self._waypoints, wider)
 
 
 class ActorMotion:

@@ -67,21 +67,16 @@ class RouteMap:
         self.cell_m, self.x, self.y = space.cell_m, space.x, space.y
         self.traversable = space.traversable
         self.clearance: Floats = space.clearance.astype(np.float32)
-        off_steep = (
-            distance_transform_edt(~space.steep, sampling=self.cell_m) if space.steep.any() else np.inf
-        )
-        self._beside_steep = _STEEP_ROOM * footprint_radius_m + np.asarray(off_steep, np.float32)
+        apart = np.inf
+        if space.steep.any():
+            apart = distance_transform_edt(~space.steep, sampling=self.cell_m)
+        self._beside_steep = _STEEP_ROOM * footprint_radius_m + np.asarray(apart, np.float32)
         slope = world.terrain.slope(np.stack(np.meshgrid(self.x, self.y), axis=-1))
         near = np.clip(1.0 - (space.clearance - footprint_radius_m) / _NEAR_M, 0.0, 1.0)
-        tight = np.clip(
-            (footprint_radius_m - space.clearance) / max(footprint_radius_m - narrowest, 1e-9), 0, 1
-        )
-        self.cost: Array = (
-            1.0
-            + _SLOPE_COST * (slope / np.deg2rad(max_slope_deg)) ** 2
-            + _NEAR_COST * near * near
-            + _TIGHT_COST * tight
-        )
+        spare_m = max(footprint_radius_m - narrowest, 1e-9)
+        tight = np.clip((footprint_radius_m - space.clearance) / spare_m, 0, 1)
+        steepness = slope / np.deg2rad(max_slope_deg)
+        self.cost: Array = 1.0 + _SLOPE_COST * steepness**2 + _NEAR_COST * near * near + _TIGHT_COST * tight
         self._graph = self._edges()
         self._off_m, self._nearest = self._nearest_traversable()
 
@@ -93,10 +88,8 @@ class RouteMap:
         for down, right in _MOVES:
             length = self.cell_m * float(np.hypot(down, right))
             # A long step also crosses the two cells between its ends.
-            halves = {(down // 2, right // 2), (down - down // 2, right - right // 2)} - {
-                (0, 0),
-                (down, right),
-            }
+            halves = {(down // 2, right // 2), (down - down // 2, right - right // 2)}
+            halves -= {(0, 0), (down, right)}
             at = _window(rows, columns, down, right, (0, 0))
             to = _window(rows, columns, down, right, (down, right))
             between = [_window(rows, columns, down, right, half) for half in sorted(halves)]
@@ -163,10 +156,6 @@ class RouteMap:
             np.minimum(clearance, self._beside_steep).astype(np.float32),
         )
 
-    def cost_to_go(self, goal_xy: ArrayLike, start_xy: ArrayLike) -> Floats:
-        """Cost of the cheapest route to a goal from each cell, (rows, columns); see `routes_to`."""
-        return self.routes_to(goal_xy, start_xy).cost
-
     def _clearance_beside(self, discs: Array) -> Floats:
         """The clearance, with `discs` (B, 3: x, y, radius) as further obstacles."""
         found = self.clearance.copy()
@@ -181,19 +170,6 @@ class RouteMap:
         starts = np.repeat(cells, np.diff(graph.indptr))
         lengths = np.where(starts | cells[graph.indices], np.inf, graph.data)
         return csr_matrix((lengths, graph.indices, graph.indptr), shape=graph.shape)
-
-    def route(self, start_xy: ArrayLike, goal_xy: ArrayLike) -> Array:
-        """Centres (P, 2) [m] of the cells of the cheapest route; empty without any."""
-        source = int(self._nearest[self.cell_number(goal_xy)])
-        cell = int(self._nearest[self.cell_number(start_xy)])
-        found, previous = dijkstra(self._graph, indices=source, return_predecessors=True)
-        if not np.isfinite(found[cell]):
-            return np.zeros((0, 2))
-        cells = [cell]
-        while cells[-1] != source:
-            cells.append(int(previous[cells[-1]]))
-        row, column = np.divmod(np.array(cells), len(self.x))
-        return np.stack([self.x[column], self.y[row]], axis=-1)
 
 
 def _window(rows: int, columns: int, down: int, right: int, offset: tuple[int, int]) -> tuple[slice, slice]:

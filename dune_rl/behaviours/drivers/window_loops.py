@@ -124,18 +124,9 @@ def _wait_cost(
 
 @compile_function
 def _command_cost(
-    pose: Any,
-    twist: Any,
-    command: Any,
-    maps: Any,
-    places: Any,
-    actors: Any,
-    goal: Any,
-    vehicle: Any,
-    response: Any,
-    recovers: bool,
-    best: float,
-) -> float:
+    pose: Any, twist: Any, command: Any, maps: Any, places: Any, actors: Any, goal: Any, vehicle: Any,
+    response: Any, recovers: bool, best: float,
+) -> float:  # fmt: skip
     """Cost of a command (speed, yaw rate, yaw rate after 0.7 s) for 2.5 s; inf where it exceeds `best`."""
     grid, field, waypoints, clearance = maps
     x, y, yaw = pose[0], pose[1], pose[2]
@@ -191,19 +182,9 @@ def _command_cost(
 
 @compile_function
 def choose_commands(
-    poses: Any,
-    twists: Any,
-    grids: Any,
-    fields: Any,
-    waypoints: Any,
-    clearances: Any,
-    actors: Any,
-    goals: Any,
-    vehicle: Any,
-    response: Any,
-    recovering: Any,
-    found: Any,
-) -> None:
+    poses: Any, twists: Any, grids: Any, fields: Any, waypoints: Any, clearances: Any, actors: Any,
+    goals: Any, vehicle: Any, response: Any, recovering: Any, found: Any,
+) -> None:  # fmt: skip
     """The cheapest speed [m/s] and yaw rate [rad/s] of each row, `found` (N, 2).
 
     `poses` (N, 3: x, y, yaw), `twists` (N, 2: speed, yaw rate), `grids` (N, 5), cost-to-go `fields`, next

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from dune_rl.behaviours.paths.loops import advance_on_paths, hold_back_on_paths
+from dune_rl.behaviours.paths.loops import LoopStops, PathStops, advance_on_paths, hold_back_on_paths
 from dune_rl.behaviours.paths.splines import (
     SPACING_M,
     PathBank,
@@ -20,10 +20,10 @@ from dune_rl.behaviours.paths.splines import (
     there_and_back,
     way_point_stations,
 )
-from dune_rl.behaviours.paths.stops import LoopStops, PathStops
 from dune_rl.core.settings import Settings
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.shared_per_scene import SharedPerScene, query_grouped
+from dune_rl.state.state import GroupState, State
 from dune_rl.worlds.walkable_points import PointWords, TerrainLimits, check_stretches, check_way_points
 from dune_rl.worlds.world import World
 
@@ -109,17 +109,15 @@ class PathFollower:
         self._paths: WeakKeyDictionary[World, _WorldPaths] = WeakKeyDictionary()
         self.goals_w = np.zeros((rows, 2))
         self._loop = np.zeros((len(worlds), count), np.int64)
-        self._travelled = np.zeros((len(worlds), count))
         self._outbound = np.ones(rows, bool)
-        # Offsets of agents from their paths, and their last steps along them [m].
+        # Ways along the loops, the last steps and the next ones, and offsets of agents from their paths [m].
+        self._travelled, self._step, self._distances = np.zeros((3, len(worlds), count))
         self._offsets = np.zeros((len(worlds), count, 2))
-        self._step = np.zeros((len(worlds), count))
         # Where they would be on their paths after the last `advance`.
         self._targets = np.zeros((len(worlds), count, 4))
         # See `loops`.
         self._agents = self._travelled, self._step, self._offsets, self._targets
         self._scenes = np.arange(len(worlds))
-        self._distances = np.zeros((len(worlds), count))
         self._stops = PathStops(len(worlds), count, conf.pauses_s * speed_mps)
         self._has_stops = conf.mode == "once" or conf.pauses_s > 0.0
 
@@ -202,8 +200,7 @@ class PathFollower:
         """
         found = []
         for agent in range(self.count):
-            grown = _NO_DISCS if discs is None else _grown(discs, radius_m)
-            pose, _ = self._start(scene, agent, rng, avoid_xy, grown)
+            pose, _ = self._start(scene, agent, rng, avoid_xy, discs, radius_m)
             found.append(pose)
             if discs is not None:
                 discs = np.concatenate([discs, [[*pose[:2], radius_m]]])
@@ -215,22 +212,28 @@ class PathFollower:
         agent: int,
         rng: np.random.Generator,
         avoid_xy: Array,
-        discs: Array | None = None,
-        radius_m: float = 0.0,
+        discs: Array | None,
+        radius_m: float,
     ) -> Array | None:
         """As `reset`, of one agent; None where it has no room."""
-        grown = _NO_DISCS if discs is None else _grown(discs, radius_m)
-        pose, apart = self._start(scene, agent, rng, avoid_xy, grown)
+        pose, apart = self._start(scene, agent, rng, avoid_xy, discs, radius_m)
         return pose if apart >= 1.0 else None
 
     def _start(
-        self, scene: int, agent: int, rng: np.random.Generator, avoid_xy: Array, discs: Array
+        self,
+        scene: int,
+        agent: int,
+        rng: np.random.Generator,
+        avoid_xy: Array,
+        discs: Array | None,
+        radius_m: float,
     ) -> tuple[Array, float]:
         """Start an agent on one of its paths: its pose (4), and how far it is from the others.
 
         That is the least of its distances from the points `avoid_xy` (R, 2) and from the middles of `discs`
         (K, 3), each over the distance that is to be kept: 1 or more where there is room.
         """
+        discs = _NO_DISCS if discs is None else discs + np.array([0.0, 0.0, radius_m + _BETWEEN_M])
         bank, choices, stops = self._paths[self._worlds[scene]]
         is_once, row = self.conf.mode == "once", scene * self.count + agent
         farthest, found = -1.0, np.zeros(4)
@@ -304,10 +307,23 @@ class PathFollower:
         return bank.poses[bank.starts[loop]]
 
 
+class FollowPath:
+    """The behaviours `path` and `trajectory`: moves agents along their paths, whatever is in their way.
+
+    Actions are poses (N, 4: x, y, z, yaw) [m, rad], for `KinematicBody(is_prescribed=True)`; `advance`
+    returns those of the agents after a number of seconds.
+    """
+
+    def __init__(self, advance: Callable[[float], Array]) -> None:
+        self._advance = advance
+
+    def reset(self, mask: Flags, group: GroupState) -> None:
+        """Nothing: the source of starts puts agents on their paths."""
+
+    def act(self, state: State, group: GroupState) -> Array:
+        """The poses (N, 4) of the agents at the end of the next control step."""
+        return self._advance(group.episode.step_s)
+
+
 def _height(world: World, xy: Array) -> Array:
     return world.terrain.height(xy)
-
-
-def _grown(discs: Array, radius_m: float) -> Array:
-    """Discs (K, 3: x, y, radius) outside of which the middle of a body of `radius_m` has room."""
-    return discs + np.array([0.0, 0.0, radius_m + _BETWEEN_M])

@@ -1,14 +1,19 @@
-"""Loops over agents on paths, compiled: S scenes of G agents each.
+"""Loops over agents on paths and their stops, compiled: S scenes of G agents each.
 
 `paths` are the poses (P, 4: x, y, z, yaw) of closed loops, end to end, where each begins, (B,), and how many
 poses it has, (B,); `spacing_m` is the distance between poses. See `PathBank`.
 """
 
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from dune_rl.geometry.arrays import Array, Counts
 from dune_rl.geometry.compiled import compile_function
+
+# Ways are equal within this [m].
+_SAME_M = 1e-9
 
 
 @compile_function
@@ -76,3 +81,80 @@ def hold_back_on_paths(
             interpolate_path(paths, loops[scene, agent], travelled[scene, agent], spacing_m, place)
             for axis in range(2):
                 offsets[scene, agent, axis] = xy[axis] - place[axis]
+
+
+class LoopStops(NamedTuple):
+    """The stops of B loops, end to end: `at` (S,) [m] of way, rising in each loop, from 0 to its length.
+
+    Loop b has `counts[b]` of them from `starts[b]`, and is `lengths[b]` [m] long; nobody goes beyond
+    `ends[b]`.
+    """
+
+    at: Array
+    starts: Counts
+    counts: Counts
+    lengths: Array
+    ends: Array
+
+    @classmethod
+    def of(cls, stops: Sequence[Array], lengths: Sequence[float], ends: Sequence[float]) -> "LoopStops":
+        """Those of loops with `stops`, each (S,)."""
+        counts = np.array([len(each) for each in stops])
+        at = np.concatenate([*stops, np.zeros(0)])
+        return cls(at, np.cumsum(counts) - counts, counts, np.array(lengths, float), np.array(ends, float))
+
+
+class PathStops:
+    """How far M * G agents may go in a step: to the next stop, where each pauses for `pause_m`.
+
+    Pauses are given as the way [m] that the agents would walk in that time.
+    """
+
+    def __init__(self, num_scenes: int, count: int, pause_m: float) -> None:
+        self._pause_m = pause_m
+        self._next_m = np.full((num_scenes, count), np.inf)
+        self._pause_left_m = np.zeros((num_scenes, count))
+
+    def reset(self, scene: int, agent: int, travelled_m: float, loop: int, stops: LoopStops) -> None:
+        """Set the stops of an agent that starts on a loop after `travelled_m`."""
+        self._pause_left_m[scene, agent] = 0.0
+        self._next_m[scene, agent] = _next_stop(stops, loop, travelled_m)
+
+    def limit(
+        self, scenes: Counts, loops: Counts, travelled_m: Array, stops: LoopStops, distances_m: Array
+    ) -> None:
+        """Shorten the steps `distances_m` (M, G) of the agents of `scenes` (S,)."""
+        agents = self._next_m, self._pause_left_m
+        _limit_steps(stops, scenes, loops, travelled_m, self._pause_m, agents, distances_m)
+
+
+@compile_function
+def _next_stop(stops: Any, loop: int, travelled_m: float) -> float:
+    """The way at the first stop after `travelled_m`; inf without stops."""
+    at, starts, counts, lengths, _ = stops
+    first, count, length = starts[loop], counts[loop], lengths[loop]
+    if count == 0:
+        return np.inf
+    before = np.floor((travelled_m + _SAME_M) / length) * length
+    for number in range(count):
+        if before + at[first + number] > travelled_m + _SAME_M:
+            return before + at[first + number]
+    return before + length + at[first]
+
+
+@compile_function
+def _limit_steps(
+    stops: Any, scenes: Any, loops: Any, travelled: Any, pause_m: float, agents: Any, distances: Any
+) -> None:
+    """See `PathStops.limit`; `agents` are the next stops and the rest of pauses, (M, G) each [m]."""
+    next_m, pause_left = agents
+    for scene in scenes:
+        for agent in range(loops.shape[1]):
+            loop, way = loops[scene, agent], travelled[scene, agent]
+            if way >= next_m[scene, agent] - _SAME_M:
+                pause_left[scene, agent] = pause_m
+                next_m[scene, agent] = _next_stop(stops, loop, way)
+            rest = min(pause_left[scene, agent], distances[scene, agent])
+            pause_left[scene, agent] -= rest
+            most = min(next_m[scene, agent], stops[4][loop]) - way
+            distances[scene, agent] = min(distances[scene, agent] - rest, max(most, 0.0))

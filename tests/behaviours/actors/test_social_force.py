@@ -7,7 +7,7 @@ import pytest
 from stages import RADIUS_M, Stage, gaps, turns
 from yards import yard
 
-from dune_rl.behaviours.social_force import add_social_forces, interact, repel
+from dune_rl.behaviours.social_force_loops import add_social_forces, interact, repel
 
 
 def interaction(apart: list[float], own: list[float], other: list[float]) -> np.ndarray:
