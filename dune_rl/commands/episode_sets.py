@@ -95,7 +95,7 @@ def named_recipes(parsed: Namespace) -> list["SetRecipe"]:
 
 
 def _check(parsed: Namespace) -> None:
-    from dune_rl.evaluation.episode_sets.check import faulty_episodes
+    from dune_rl.evaluation.episode_sets.apply import faulty_episodes
     from dune_rl.evaluation.episode_sets.files import read_episode_set, set_names
 
     faults = []

@@ -60,7 +60,8 @@ def _run_on_folder(parsed: Namespace, action: str) -> None:
 def _compose(parsed: Namespace) -> EvaluateConf:
     """The settings, with those that an episode set determines, and the number of episodes."""
     from dune_rl.config.checks import validate
-    from dune_rl.evaluation.episode_sets import check_set_overrides, read_episode_set, settings_on_set
+    from dune_rl.evaluation.episode_sets.apply import check_set_overrides, settings_on_set
+    from dune_rl.evaluation.episode_sets.files import read_episode_set
     from dune_rl.evaluation.protocols import check_protocol_overrides, settings_of_protocol
 
     overrides = list(parsed.overrides)

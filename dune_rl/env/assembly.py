@@ -24,8 +24,7 @@ from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.lidar import MeasuringScan
 from dune_rl.sensors.suite import SensorSuite
 from dune_rl.tasks.registry import START_SOURCES
-from dune_rl.tasks.spawn import SpawnConf
-from dune_rl.tasks.spawned_body import SpawnedBody
+from dune_rl.tasks.spawn import SpawnConf, SpawnedBody
 
 # A new touch of the same body counts as a new collision after this long without one.
 _COLLISION_GAP_S = 1.0

@@ -12,7 +12,7 @@ from typing import Any
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.paths import package_folder
-from dune_rl.evaluation.episode_sets import sites_of_training
+from dune_rl.evaluation.episode_sets.apply import sites_of_training
 from dune_rl.evaluation.policies import PolicySource
 from dune_rl.evaluation.running import EvaluationPlan
 from dune_rl.learning.checkpoint import read_policy_file

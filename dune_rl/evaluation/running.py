@@ -12,7 +12,8 @@ from dune_rl.config.build import make_learning_env
 from dune_rl.config.commands import EvaluateConf
 from dune_rl.core.errors import ConfigError
 from dune_rl.evaluation.blocks import EpisodeBlock, FinishedEpisode
-from dune_rl.evaluation.episode_sets import EpisodeSet, plan_of_set, read_episode_set
+from dune_rl.evaluation.episode_sets.apply import plan_of_set
+from dune_rl.evaluation.episode_sets.files import EpisodeSet, read_episode_set
 from dune_rl.evaluation.policies import PolicySource, UserPolicy, policy_sources
 from dune_rl.evaluation.protocols.attempts import AttemptRecorder
 from dune_rl.evaluation.protocols.run_observer import RunLength, RunObserver

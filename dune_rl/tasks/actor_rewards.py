@@ -6,6 +6,7 @@ count; if it is empty, all robots do.
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -37,7 +38,7 @@ class Robots(NamedTuple):
 def robots_of(state: State, group: GroupState, names: tuple[str, ...] = ()) -> Robots:
     """The robots of the groups in `names`; if it is empty, of all groups of robots but `group`.
 
-    Raises ConfigError for a group that is not there.
+    Without any there is one that is not active. Raises ConfigError for a group that is not there.
     """
     unknown = [name for name in names if name not in state.groups]
     if unknown:
@@ -48,15 +49,18 @@ def robots_of(state: State, group: GroupState, names: tuple[str, ...] = ()) -> R
         if name != group.name and (name in names if names else other.body.is_robot)
     ]
     if not found:
-        none = np.zeros((len(group.done) // group.count, 0, 2))
+        # One that is not active.
+        none = np.zeros((len(group.done) // group.count, 1, 2))
         return Robots(none, none, none, none[..., 0], none[..., 0].astype(bool))
+
+    def join(read: Callable[[GroupState], Array]) -> Array:
+        return np.concatenate([one.by_scene(read(one)) for one in found], axis=1)
+
     return Robots(
-        np.concatenate([one.by_scene(one.motion.position_w[:, :2]) for one in found], axis=1),
-        np.concatenate([one.by_scene(one.motion.velocity_w[:, :2]) for one in found], axis=1),
-        np.concatenate([one.by_scene(one.goal.position_w) for one in found], axis=1),
-        np.concatenate(
-            [one.by_scene(one.goal.previous_distance - one.goal.distance) for one in found], axis=1
-        ),
+        join(lambda one: one.motion.position_w[:, :2]),
+        join(lambda one: one.motion.velocity_w[:, :2]),
+        join(lambda one: one.goal.position_w),
+        join(lambda one: one.goal.previous_distance - one.goal.distance),
         np.concatenate([~one.done.reshape(-1, one.count) for one in found], axis=1),
     )
 
@@ -73,8 +77,6 @@ def closing_in(
     The place is on the robot's way, at most as far as its goal. What the robot moves earns nothing.
     """
     robots = robots_of(state, group, groups)
-    if not robots.active.shape[1]:
-        return np.zeros(len(group.done))
     along, length = unit_vectors(robots.goal_w - robots.position_w)
     places = robots.position_w + np.minimum(length, ahead_m)[..., None] * along
     own = group.by_scene(group.motion.position_w[:, :2])
@@ -99,8 +101,6 @@ def blocking(
     It falls linearly to 0 at `ahead_m` ahead of the robot, and at `width_m` beside its way.
     """
     robots = robots_of(state, group, groups)
-    if not robots.active.shape[1]:
-        return np.zeros(len(group.done))
     along, length = unit_vectors(robots.goal_w - robots.position_w)
     offset = group.by_scene(group.motion.position_w[:, :2])[:, :, None] - robots.position_w[:, None]
     ahead = (offset * along[:, None]).sum(axis=-1)
@@ -114,8 +114,6 @@ def blocking(
 def robot_progress(state: State, group: GroupState, *, groups: tuple[str, ...] = ()) -> Array:
     """Metres by which the nearest robot came nearer to its goal in this step; weigh it negatively."""
     robots = robots_of(state, group, groups)
-    if not robots.active.shape[1]:
-        return np.zeros(len(group.done))
     nearest, present = _nearest(group.by_scene(group.motion.position_w[:, :2]), robots)
     progress = np.take_along_axis(robots.progress, nearest, axis=1)
     return np.where(present, progress, 0.0).reshape(-1)
@@ -139,8 +137,7 @@ class _JudgedContact(ABC):
         min_speed_mps: Annotated[float, Field(ge=0.0)] = 0.05,
     ) -> None:
         self._groups, self._min_speed_mps = groups, min_speed_mps
-        self._own = np.zeros((num_rows, 1))
-        self._theirs = np.zeros((num_rows, 1))
+        self._own, self._theirs = np.zeros((2, num_rows, 1))
 
     def reset(self, mask: Flags, group: GroupState) -> None:
         """Nothing has moved in the episodes of the agents in `mask` (N,)."""
@@ -151,8 +148,6 @@ class _JudgedContact(ABC):
         """Values (N,); to be called once a control step."""
         robots, counts = self._robots_of(state, group)
         rows, count = len(group.done), robots.active.shape[1]
-        if not count:
-            return np.zeros(rows)
         position = group.by_scene(group.motion.position_w[:, :2])
         towards, _ = unit_vectors(robots.position_w[:, None] - position[:, :, None])
         velocity = group.by_scene(group.motion.velocity_w[:, :2])[:, :, None]
@@ -185,7 +180,7 @@ class _JudgedContact(ABC):
             if name != group.name and other.body.is_robot
             for _ in range(other.count)
         ]
-        return robots_of(state, group), np.array(counts, bool)
+        return robots_of(state, group), np.array(counts or [False], bool)
 
 
 class RanIntoRobot(_JudgedContact):

@@ -11,30 +11,14 @@ from dune_rl.geometry.arrays import Array
 from dune_rl.state.terms import TermConf, TermRegistry
 from dune_rl.tasks.spawn import Placement, SpawnConf, Spawner
 
-_OWN_REWARDS = (
-    "collision",
-    "contact",
-    "distance",
-    "ended_by",
-    "heading",
-    "near_miss",
-    "progress",
-    "velocity",
-)
-_OWN_ACTOR_REWARDS = {
-    "blocking": "blocking",
-    "closing_in": "closing_in",
-    "hit_by_robot": "HitByRobot",
-    "ran_into_robot": "RanIntoRobot",
-    "robot_progress": "robot_progress",
+_ROBOT_REWARDS = {
+    **{name: name for name in ("blocking", "closing_in", "robot_progress")},
+    **{"hit_by_robot": "HitByRobot", "ran_into_robot": "RanIntoRobot"},
 }
-_OWN_TERMINATIONS = {
-    "flipped": "flipped",
-    "goal_reached": "goal_reached",
-    "long_collision": "LongCollision",
-    "out_of_world": "out_of_world",
-    "stuck": "Stuck",
-    "time_limit": "time_limit",
+_REWARDS = ["collision", "contact", "distance", "ended_by", "heading", "near_miss", "progress", "velocity"]
+_TERMINATIONS = {
+    **{name: name for name in ("flipped", "goal_reached", "out_of_world", "time_limit")},
+    **{"long_collision": "LongCollision", "stuck": "Stuck"},
 }
 
 
@@ -59,18 +43,18 @@ class TerminationTermConf(TermConf):
 
 
 # Reward terms whose `groups` are groups of robots.
-ROBOT_REWARDS = tuple(_OWN_ACTOR_REWARDS)
+ROBOT_REWARDS = tuple(_ROBOT_REWARDS)
 REWARDS = TermRegistry(
     "reward",
     "dune_rl.tasks.registry:REWARDS",
-    own={name: f"dune_rl.tasks.rewards:{name}" for name in _OWN_REWARDS}
-    | {name: f"dune_rl.tasks.actor_rewards:{target}" for name, target in _OWN_ACTOR_REWARDS.items()},
+    own={name: f"dune_rl.tasks.rewards:{name}" for name in _REWARDS}
+    | {name: f"dune_rl.tasks.actor_rewards:{target}" for name, target in _ROBOT_REWARDS.items()},
     base=RewardTermConf,
 )
 TERMINATIONS = TermRegistry(
     "termination",
     "dune_rl.tasks.registry:TERMINATIONS",
-    own={name: f"dune_rl.tasks.terminations:{target}" for name, target in _OWN_TERMINATIONS.items()},
+    own={name: f"dune_rl.tasks.terminations:{target}" for name, target in _TERMINATIONS.items()},
     base=TerminationTermConf,
 )
 

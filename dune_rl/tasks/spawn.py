@@ -12,7 +12,6 @@ from pydantic import Field, model_validator
 from dune_rl.core.errors import WorldError
 from dune_rl.core.settings import Settings
 from dune_rl.geometry.arrays import Array, Counts, Flags
-from dune_rl.tasks.spawned_body import SpawnedBody
 from dune_rl.worlds.passage import FreeSpace, water_depth
 from dune_rl.worlds.world import Rectangle, World
 
@@ -54,6 +53,29 @@ class Placement:
     goal_y: float
 
 
+@dataclass(frozen=True)
+class SpawnedBody:
+    """Who starts somewhere, in words for errors: `name` of the body, and what ground it `needs` beside room.
+
+    `settings` is the path of its group's settings, such as `actors.traffic`; empty for robots that have the
+    environment's.
+    """
+
+    name: str = "robot"
+    needs: str = ""
+    settings: str = ""
+
+    @property
+    def spawn(self) -> str:
+        """The path of the group's settings of starts and goals."""
+        return f"{self.settings}.task.spawn" if self.settings else "task.spawn"
+
+    @property
+    def fewer(self) -> str:
+        """What to do for fewer of them."""
+        return f"Lower {self.settings}.count" if self.settings else "Have fewer robots"
+
+
 _ROBOT = SpawnedBody()
 
 
@@ -88,7 +110,8 @@ class Spawner:
             ("free space", footprint_radius_m, conf.max_slope_deg),
             lambda: FreeSpace(world, footprint_radius_m, conf.max_slope_deg),
         )
-        self._part, self._cells = self._largest_part(self.free_space, footprint_radius_m + conf.margin_m)
+        # Centres (K, 2) [m] of the cells that starts and goals are drawn from.
+        self._part, self.cells = self._largest_part(self.free_space, footprint_radius_m + conf.margin_m)
         self._starts = self._with_goal_in_reach()
 
     def _resolve_region(self) -> Rectangle:
@@ -124,26 +147,11 @@ class Spawner:
         usable = in_region & free.traversable & (free.clearance >= clearance_m)
         if not usable.any():
             raise WorldError(self._why_none(free, in_region, clearance_m))
-        if self._is_passable is None:
-            rows, columns = np.nonzero(usable)
-            shallow = self._is_shallow(free.centres(usable))
-            self._is_wet = not shallow.all()
-            usable[rows, columns] = shallow
-            if not usable.any():
-                raise WorldError(
-                    f"{self._where} is all below more than {self._body.spawn}.max_water_m="
-                    f"{self._conf.max_water_m:g} m of water: raise it, or choose another "
-                    f"{self._body.spawn}.region or another world."
-                )
-        else:
-            rows, columns = np.nonzero(usable)
-            usable[rows, columns] = self._is_passable(self._world, free.centres(usable))
-            if not usable.any():
-                raise WorldError(
-                    f"{self._where} has no ground that this body can be on: all is too steep, too rough, "
-                    f"below water or below roofs. Choose another {self._body.spawn}.region, another world, "
-                    "or another body."
-                )
+        passable = self._passable(free.centres(usable))
+        self._is_wet = self._is_passable is None and not passable.all()
+        usable[np.nonzero(usable)] = passable
+        if not usable.any():
+            raise WorldError(self._why_impassable())
         part = int(np.bincount(free.components[usable]).argmax())
         return part, free.centres(usable & (free.components == part))
 
@@ -167,34 +175,41 @@ class Spawner:
             "smaller body or another world."
         )
 
+    def _why_impassable(self) -> str:
+        where, spawn = self._where, self._body.spawn
+        if self._is_passable is None:
+            return (
+                f"{where} is all below more than {spawn}.max_water_m={self._conf.max_water_m:g} m of water: "
+                f"raise it, or choose another {spawn}.region or another world."
+            )
+        return (
+            f"{where} has no ground that this body can be on: all is too steep, too rough, below water or "
+            f"below roofs. Choose another {spawn}.region, another world, or another body."
+        )
+
     def _with_goal_in_reach(self) -> Array:
         # The cell farthest from anywhere is outermost in some direction; 64 directions find it to 0.1 %.
         bearings = np.linspace(0.0, 2 * np.pi, 64, endpoint=False)
         directions = np.stack([np.cos(bearings), np.sin(bearings)], axis=1)
-        outermost = self._cells[np.unique((directions @ self._cells.T).argmax(axis=1))]
+        outermost = self.cells[np.unique((directions @ self.cells.T).argmax(axis=1))]
         reach = self._conf.min_goal_distance_m
         # Hardly a cell is near to the first one, so that the others are for few.
-        near = np.arange(len(self._cells))
+        near = np.arange(len(self.cells))
         for point in outermost:
-            near = near[np.hypot(*(self._cells[near] - point).T) < reach]
-        if len(near) == len(self._cells):
-            across = max(float(np.hypot(*(self._cells - point).T).max()) for point in outermost)
+            near = near[np.hypot(*(self.cells[near] - point).T) < reach]
+        if len(near) == len(self.cells):
+            across = max(float(np.hypot(*(self.cells - point).T).max()) for point in outermost)
             raise WorldError(
                 f"{self._body.spawn}.min_goal_distance_m={reach:g} is more than the {across:.2f} m "
                 f"across the free part of {self._body.spawn}.region {_rectangle(self.region)}: "
                 "lower it, or widen the region."
             )
-        return np.delete(self._cells, near, axis=0)
-
-    @property
-    def cells(self) -> Array:
-        """Centres (K, 2) [m] of the cells of `free_space` that starts and goals are drawn from."""
-        return self._cells
+        return np.delete(self.cells, near, axis=0)
 
     @cached_property
     def _diameter_m(self) -> float:
         """The diagonal of the rectangle round all cells [m]."""
-        return float(np.hypot(*np.ptp(self._cells, axis=0)))
+        return float(np.hypot(*np.ptp(self.cells, axis=0)))
 
     def eased(self, difficulty: float) -> "Spawner":
         """The same with goals nearer to starts; `difficulty` in [0, 1], of which 1 changes nothing.
@@ -216,7 +231,7 @@ class Spawner:
         The start is at least `apart_m` from the start of each `taken` placement,
         and the goal from its goal. Raises WorldError where no place is left.
         """
-        starts, cells = self._starts, self._cells
+        starts, cells = self._starts, self.cells
         if taken:
             starts = self._away(starts, [(one.x, one.y) for one in taken], apart_m)
             cells = self._away(cells, [(one.goal_x, one.goal_y) for one in taken], apart_m)
@@ -246,16 +261,16 @@ class Spawner:
         It is drawn from `rng` alone. Where the region has no such place, it is the place with the smallest
         shortfall: a running episode must go on.
         """
-        centres = self._cells[rng.integers(len(self._cells), size=_GOAL_TRIES)]
+        centres = self.cells[rng.integers(len(self.cells), size=_GOAL_TRIES)]
         moved = centres + rng.uniform(-0.5, 0.5, centres.shape) * self.free_space.cell_m
         choice = rng.uniform()
-        for goals in (np.where(self._fits(moved)[:, None], moved, centres), self._cells):
+        for goals in (np.where(self._fits(moved)[:, None], moved, centres), self.cells):
             excess = self._excess(goals, start, taken, apart_m)
             enough = goals[excess >= 0.0]
             if len(enough):
                 x, y = enough[int(choice * len(enough))].tolist()
                 return x, y
-        x, y = self._cells[excess.argmax()].tolist()
+        x, y = self.cells[excess.argmax()].tolist()
         return x, y
 
     def _excess(self, goals: Array, start: Array, taken: Array, apart_m: Array) -> Array:
@@ -299,7 +314,7 @@ class Spawner:
 
     def _too_full(self, others: int) -> str:
         body, xmin, xmax, ymin, ymax = self._body, *self.region
-        suitable_m2 = len(self._cells) * self.free_space.cell_m**2
+        suitable_m2 = len(self.cells) * self.free_space.cell_m**2
         least = self._footprint_radius_m + self._conf.margin_m
         is_all = self.region == self._world.extent
         return (
@@ -331,9 +346,12 @@ class Spawner:
         clear = self._world.clearance(xy) >= self._footprint_radius_m + self._conf.margin_m
         gentle: Flags = self._world.terrain.slope(xy) <= self._max_slope
         fits = gentle & clear
+        return fits & self._passable(xy) if self._is_wet or self._is_passable is not None else fits
+
+    def _passable(self, xy: Array) -> Flags:
         if self._is_passable is not None:
-            return fits & self._is_passable(self._world, xy)
-        return fits & self._is_shallow(xy) if self._is_wet else fits
+            return self._is_passable(self._world, xy)
+        return self._is_shallow(xy)
 
     def _is_shallow(self, xy: Array) -> Flags:
         shallow: Flags = water_depth(self._world, xy) <= self._conf.max_water_m

@@ -1,11 +1,12 @@
 """A task: spawn settings, reward terms and termination terms of an agent group."""
 
-from collections.abc import Mapping
+import math
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
+from dune_rl.core.errors import RegistryError
 from dune_rl.core.settings import Settings
 from dune_rl.geometry.arrays import Array, Flags, freeze
 from dune_rl.state.state import GroupState, State
@@ -69,19 +70,6 @@ class TaskConf(Settings):
             if termination.truncates and termination.renew:
                 raise ValueError(f"terminations.{name} cannot both truncate and renew the goal: choose one")
         return self
-
-    def with_terms(
-        self,
-        rewards: Mapping[str, Mapping[str, Any]] | None = None,
-        terminations: Mapping[str, Mapping[str, Any]] | None = None,
-        **others: Any,
-    ) -> "TaskConf":
-        """These settings with changes: of some settings of some terms, further terms, `spawn`."""
-        values = self.model_dump()
-        for section, changes in (("rewards", rewards), ("terminations", terminations)):
-            for name, change in (changes or {}).items():
-                values[section][name] = {**values[section].get(name, {}), **change}
-        return TaskConf.model_validate({**values, **others})
 
 
 def walking_task() -> TaskConf:
@@ -184,7 +172,7 @@ class Task:
         return dict(zip(self._endings, freeze(flags), strict=True))
 
     def reward(self, state: State, group: GroupState) -> Array:
-        """Reward (N,) of this step, 0 for agents that are done."""
+        """Reward (N,) of this step, 0 for agents that are done; RegistryError where it is not finite."""
         if not self._rows:
             return np.zeros(len(group.done))
         values = self._values
@@ -204,7 +192,19 @@ class Task:
         self._sums += values
         # One after another: the bytes of a sum by pairs would depend on how many terms and agents there are.
         reward: Array = np.add.accumulate(values, axis=0)[-1]
+        if not math.isfinite(reward.sum()):
+            self._name_fault(group.name)
         return reward
+
+    def _name_fault(self, group: str) -> None:
+        """Raise RegistryError, which names the first reward term that is not a finite number."""
+        for name, values in zip(self.conf.rewards, self._values, strict=True):
+            faulty = values[~np.isfinite(values)]
+            if len(faulty):
+                raise RegistryError(
+                    f"the reward term {name!r} of the group {group!r} is {faulty[0]}: let it return finite "
+                    "numbers in every step, such as by np.nan_to_num, or leave the term out."
+                )
 
     @property
     def reward_sums(self) -> Array:

@@ -4,6 +4,7 @@ from typing import Any
 
 import pytest
 import yaml
+from published_tasks import with_terms
 
 from dune_rl.behaviours.paths.follower import PathConf
 from dune_rl.behaviours.registry import BEHAVIOURS
@@ -268,7 +269,8 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
     ),
     ("sensors", "walker"): walker_sensors(),
     ("task", "point_goal"): TaskConf(),
-    ("task", "dune_code"): TaskConf().with_terms(
+    ("task", "dune_code"): with_terms(
+        TaskConf(),
         rewards={
             "distance": {
                 "min_progress_m": 0.001,
@@ -291,7 +293,7 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
             "long_collision": {"distance_m": 0.3, "steps": 600},
         },
     ),
-    ("task", "paper"): TaskConf().with_terms(rewards={"contact": {"weight": 0.0}}),
+    ("task", "paper"): with_terms(TaskConf(), rewards={"contact": {"weight": 0.0}}),
     ("sensors", "actor"): actor_sensors(),
     ("sensors", "adversary"): actor_sensors(goals=True),
     ("task", "walking"): walking_task(),

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from published_tasks import with_terms
 
 from dune_rl.config.commands import EvaluateConf
 from dune_rl.config.compose import compose
@@ -60,7 +61,7 @@ def test_the_oldest_runs_had_the_default_task_and_metrics() -> None:
     )
     assert (conf.task, conf.metrics) == (TaskConf(), MetricsConf())
     changed = compose(EvaluateConf, ["policy=random", "task.terminations.time_limit.max_steps=5"], (), saved)
-    assert changed.task == TaskConf().with_terms(terminations={"time_limit": {"max_steps": 5}})
+    assert changed.task == with_terms(TaskConf(), terminations={"time_limit": {"max_steps": 5}})
 
 
 def test_angles_of_older_runs_are_the_same_in_degrees() -> None:

@@ -34,7 +34,7 @@ from dune_rl.config.compose import check_sweep, compose, override_value
 from dune_rl.config.schema import Conf
 from dune_rl.core import paths
 from dune_rl.core.errors import ConfigError, DuneError
-from dune_rl.evaluation.episode_sets import read_episode_set
+from dune_rl.evaluation.episode_sets.files import read_episode_set
 from dune_rl.reporting.settings import parse_words
 from dune_rl.trajectories.settings import choose_world
 from dune_rl.trajectories.settings import parse_words as trajectory_words

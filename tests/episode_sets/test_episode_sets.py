@@ -18,16 +18,13 @@ from dune_rl.config.shorthands import replace_actors
 from dune_rl.core.errors import ConfigError, DuneError
 from dune_rl.core.paths import conf_folder
 from dune_rl.env.requests import EpisodePlan, PlannedEpisode
-from dune_rl.evaluation.episode_sets import (
+from dune_rl.evaluation.episode_sets.apply import (
+    check_set_overrides,
+    faulty_episodes,
     plan_of_set,
-    read_episode_set,
-    set_names,
     settings_on_set,
-    write_episode_set,
 )
-from dune_rl.evaluation.episode_sets.apply import check_set_overrides
-from dune_rl.evaluation.episode_sets.check import faulty_episodes
-from dune_rl.evaluation.episode_sets.files import sets_folder
+from dune_rl.evaluation.episode_sets.files import read_episode_set, set_names, sets_folder, write_episode_set
 from dune_rl.evaluation.episode_sets.recipes import (
     EPISODES,
     FAMILIES,

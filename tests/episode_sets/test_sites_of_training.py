@@ -4,7 +4,8 @@ from typing import Any
 
 import pytest
 
-from dune_rl.evaluation.episode_sets import read_episode_set, sites_of_training
+from dune_rl.evaluation.episode_sets.apply import sites_of_training
+from dune_rl.evaluation.episode_sets.files import read_episode_set
 
 
 def config(world: str, seed: int | None, drawn: Any = None) -> dict[str, Any]:

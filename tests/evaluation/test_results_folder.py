@@ -17,7 +17,7 @@ import yaml
 from dune_rl import evaluate
 from dune_rl.evaluation import run_plan
 from dune_rl.evaluation.blocks import EpisodeBlock, FinishedEpisode, missing_blocks
-from dune_rl.evaluation.episode_sets import read_episode_set, write_episode_set
+from dune_rl.evaluation.episode_sets.files import read_episode_set, write_episode_set
 from dune_rl.evaluation.episode_sets.recipes import all_recipes
 from dune_rl.evaluation.folder import ResultsFolder
 from dune_rl.evaluation.running import BlockRunner

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from report_runs import CONFIG, episode_rows, write_evaluation, write_rows, write_sweep, write_training
 
-from dune_rl.evaluation.episode_sets import read_episode_set
+from dune_rl.evaluation.episode_sets.files import read_episode_set
 from dune_rl.reporting.comparisons.collect import collect_comparisons
 from dune_rl.reporting.reading import read_inputs
 from dune_rl.reporting.tables.table import NOTHING

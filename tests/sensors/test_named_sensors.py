@@ -92,19 +92,6 @@ def test_sensors_of_saved_runs_are_read():
     )
 
 
-@pytest.mark.parametrize(
-    ("word", "message"),
-    [
-        ("sensors.named.rear={sensor: camera}", r"sensors: there is no named: write sensors\.NAME=\{sensor"),
-        ("sensors.realism.imu=bno055", r"sensors: there is no realism: write sensors\.NAME\.realism="),
-        ("sensors.past_s=1.0", r"sensors: there is no past_s: write sensors\.lidar_past\.past_s="),
-    ],
-)
-def test_former_spellings_say_what_to_write(word, message):
-    with pytest.raises(ConfigError, match=message):
-        compose_environment("flat", [word])
-
-
 def test_settings_survive_their_dump_and_another_process():
     conf = parse_sensors({"enabled": ["rear"], "rear": REAR})
     dumped = {name: each.model_dump(mode="json") for name, each in conf.items()}

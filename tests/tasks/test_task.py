@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from published_tasks import DUNE_CODE, PAPER, begun
+from published_tasks import DUNE_CODE, PAPER, begun, with_terms
 from term_states import agents, state_of
 from walker_groups import walker_groups
 
@@ -87,7 +87,7 @@ def test_a_goal_beside_a_wall_is_a_goal() -> None:
 
 
 def test_what_comes_instead_does_so_whatever_its_weight() -> None:
-    conf = PAPER.with_terms(rewards={"goal": {"weight": 0.0}, "collision": {"weight": 0.0}})
+    conf = with_terms(PAPER, rewards={"goal": {"weight": 0.0}, "collision": {"weight": 0.0}})
     assert earned(agents(distance=0.5), conf) == {}
     assert earned(agents(clearance=0.1), conf) == {}
 
@@ -175,7 +175,7 @@ def test_diverged_physics_truncates_whatever_else_seems_so() -> None:
 
 
 def test_a_goal_may_be_renewed_instead_of_ending() -> None:
-    on = PAPER.with_terms(terminations={"goal_reached": {"renew": True}})
+    on = with_terms(PAPER, terminations={"goal_reached": {"renew": True}})
     assert ended(agents(distance=0.1), on) == {"goal_reached", "renews"}
     assert ended(agents(distance=0.1, step=2000), on) == {"goal_reached", "time_limit", "truncated"}
     assert ended(agents(distance=0.1, position=OUTSIDE), on) == {"goal_reached", "out_of_world", "terminated"}
@@ -186,8 +186,8 @@ def test_a_goal_may_be_renewed_instead_of_ending() -> None:
 @given(flags=arrays(bool, (7, 5)))
 def test_who_ends_and_how(flags: np.ndarray) -> None:
     near, flipped, outside, late, diverged, done, renew = flags
-    conf = PAPER.with_terms(
-        terminations={"goal_reached": {"renew": bool(renew[0])}, "time_limit": {"max_steps": 9}}
+    conf = with_terms(
+        PAPER, terminations={"goal_reached": {"renew": bool(renew[0])}, "time_limit": {"max_steps": 9}}
     )
     group = agents(
         5,
@@ -245,7 +245,7 @@ def test_an_error_in_a_term_says_which(kind: str) -> None:
         raise ZeroDivisionError("no progress")
 
     getattr(dune_rl, f"register_{kind}")("odd")(odd)
-    conf = TaskConf().with_terms(**{f"{kind}s": {"odd_one": {"term": "odd"}}})
+    conf = with_terms(TaskConf(), **{f"{kind}s": {"odd_one": {"term": "odd"}}})
     with pytest.raises(ZeroDivisionError, match="no progress") as caught:
         earned(agents(2), conf)
     assert caught.value.__notes__ == [f"in the {kind} term 'odd_one'"]

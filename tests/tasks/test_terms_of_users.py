@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import pytest
-from published_tasks import DUNE_CODE, PAPER, begun
+from published_tasks import DUNE_CODE, PAPER, begun, with_terms
 from pydantic import Field, ValidationError
 from term_states import agents, state_of
 
@@ -108,6 +108,18 @@ def test_a_term_of_the_wrong_shape_is_named() -> None:
         step(begun(TaskConf(rewards={"lonely": {}}), group), group)
 
 
+@pytest.mark.usefixtures("_users_terms_go")
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_reward_that_is_no_number_is_named(value: float) -> None:
+    @dune_rl.register_reward
+    def broken(state: Any, group: GroupState) -> np.ndarray:
+        return np.array([0.0, value])
+
+    group = agents(2)
+    with pytest.raises(RegistryError, match=rf"reward term 'mine' of the group 'rover' is {value}: let it"):
+        step(begun(TaskConf(rewards={"progress": {}, "mine": {"term": "broken"}}), group), group)
+
+
 # -- settings --------------------------------------------------------------------------------------
 
 
@@ -118,16 +130,6 @@ def test_settings_survive_json_and_pickle() -> None:
         assert hash(
             pickle.loads(pickle.dumps(conf.rewards["progress" if len(conf.rewards) == 2 else "goal"]))
         )
-
-
-def test_with_terms_changes_what_it_is_given() -> None:
-    conf = TaskConf().with_terms(
-        rewards={"goal": {"weight": 7.0}, "again": {"term": "contact"}}, spawn={"margin_m": 0.3}
-    )
-    assert list(conf.rewards) == [*TaskConf().rewards, "again"]
-    assert (conf.rewards["goal"].weight, conf.rewards["collision"]) == (7.0, TaskConf().rewards["collision"])
-    assert conf.spawn.margin_m == 0.3
-    assert conf.terminations == TaskConf().terminations
 
 
 @pytest.mark.parametrize(
@@ -148,7 +150,7 @@ def test_with_terms_changes_what_it_is_given() -> None:
 )
 def test_faults_are_named(rewards: dict[str, Any], terminations: dict[str, Any], said: str) -> None:
     with pytest.raises(ValidationError, match=said):
-        TaskConf().with_terms(rewards=rewards, terminations=terminations)
+        with_terms(TaskConf(), rewards=rewards, terminations=terminations)
 
 
 def test_a_reward_that_pays_nothing_may_name_a_termination_that_is_not_there() -> None:

@@ -12,8 +12,7 @@ from dune_rl.env.requests import AgentRequest
 from dune_rl.env.starts.source import Asked, StartDraw, Taken, TakenPlaces
 from dune_rl.geometry.arrays import Array, Counts, Flags
 from dune_rl.geometry.shared_per_scene import SharedPerScene
-from dune_rl.tasks.spawn import Placement, SpawnConf, Spawner
-from dune_rl.tasks.spawned_body import SpawnedBody
+from dune_rl.tasks.spawn import Placement, SpawnConf, SpawnedBody, Spawner
 from dune_rl.worlds.world import World
 
 

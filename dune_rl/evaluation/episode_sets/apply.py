@@ -1,19 +1,21 @@
-"""Settings and plans of evaluations on an episode set, and the sites that a training has drawn."""
+"""Settings, plans and checks of evaluations on an episode set, and the sites that a training has drawn."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
+import numpy as np
 from pydantic import TypeAdapter
 
 from dune_rl.config.agents import SHARED
-from dune_rl.config.build import build_robot
+from dune_rl.config.build import build_robot, make_simulation
 from dune_rl.config.checks import validate
+from dune_rl.config.compose import compose_environment
 from dune_rl.config.schema import EnvConf
 from dune_rl.config.shorthands import replace_actors
-from dune_rl.core.errors import ConfigError
+from dune_rl.core.errors import ConfigError, WorldError
 from dune_rl.env.distributions import Choice, WholeNumbers
 from dune_rl.env.requests import AgentRequest, EpisodePlan, PlannedEpisode
-from dune_rl.evaluation.episode_sets.episode_set import EpisodeSet
+from dune_rl.evaluation.episode_sets.files import EpisodeSet
 
 Model = TypeVar("Model", bound=EnvConf)
 
@@ -21,6 +23,8 @@ Model = TypeVar("Model", bound=EnvConf)
 _ROUNDING_M = 1e-3
 # The limits of sets count control steps of this rate.
 _CONTROL_HZ = 20
+# How far a robot may move while it settles on the ground [m].
+_SETTLED_M = 0.2
 _DETERMINED = ("world", "weather", "actors", "randomisation", "task.spawn", "task.terminations")
 _ONE_ROBOT = ("agents", "robots")
 
@@ -70,7 +74,13 @@ def settings_on_set(conf: Model, episode_set: EpisodeSet) -> Model:
     if "seed" in type(conf).model_fields:
         data["seed"] = episode_set.header.seed
     changed = validate(type(conf), data)
-    _check_footprint(changed, episode_set)
+    radius, limit = footprint_radius_m(changed), episode_set.header.footprint_radius_m
+    if radius > limit + _ROUNDING_M:
+        raise ConfigError(
+            f"set={episode_set.name} has room for footprints of {limit:.2f} m ({episode_set.header.robot}), "
+            f"and the robot needs {radius:.2f} m: make a set for it with\n"
+            f"python -m dune_rl.episode_sets make NAME +world={episode_set.world} robot=..."
+        )
     return changed
 
 
@@ -78,27 +88,13 @@ def plan_of_set(conf: EnvConf, episode_set: EpisodeSet) -> EpisodePlan:
     """The plan of a set's episodes for the robot of `conf`."""
     (robot,) = conf.external_groups
     (agent,) = robot.agents
-    return EpisodePlan(
-        [
-            PlannedEpisode({agent: AgentRequest(one.start, one.goal)}, one.world_seed)
-            for one in episode_set.episodes
-        ]
-    )
+    planned = (({agent: AgentRequest(one.start, one.goal)}, one.world_seed) for one in episode_set.episodes)
+    return EpisodePlan([PlannedEpisode(*each) for each in planned])
 
 
 def footprint_radius_m(conf: EnvConf) -> float:
     """Radius of the footprint of the robot of `conf` [m]."""
     return build_robot(conf.robot, 1).description.footprint_radius_m
-
-
-def _check_footprint(conf: EnvConf, episode_set: EpisodeSet) -> None:
-    radius, limit = footprint_radius_m(conf), episode_set.header.footprint_radius_m
-    if radius > limit + _ROUNDING_M:
-        raise ConfigError(
-            f"set={episode_set.name} has room for footprints of {limit:.2f} m ({episode_set.header.robot}), "
-            f"and the robot needs {radius:.2f} m: make a set for it with\n"
-            f"python -m dune_rl.episode_sets make NAME +world={episode_set.world} robot=..."
-        )
 
 
 def sites_of_training(config: Mapping[str, Any], episode_set: EpisodeSet) -> list[int]:
@@ -118,3 +114,41 @@ def sites_of_training(config: Mapping[str, Any], episode_set: EpisodeSet) -> lis
         return [seed for seed in seeds if seed in found.values]
     low, high = found.limits
     return [seed for seed in seeds if low <= seed <= high]
+
+
+def faulty_episodes(
+    episode_set: EpisodeSet, numbers: Sequence[int] | None = None, overrides: Sequence[str] = ()
+) -> list[str]:
+    """Start episodes (None: all) and return a line for each that is faulty.
+
+    It is if it does not start, if the robot touches something or settles away from its start, or if the goal
+    is at another distance than the set says.
+
+    `overrides` are settings of the robot, where its name does not tell all of it.
+    """
+    header = episode_set.header
+    words = [f"robot={header.robot}", "sensors.enabled=[goal]", *overrides]
+    conf = settings_on_set(compose_environment(header.settings["world"], words), episode_set)
+    simulation = make_simulation(conf, 1, header.seed, plan=plan_of_set(conf, episode_set))
+    faults = []
+    try:
+        for number in range(len(episode_set.episodes)) if numbers is None else numbers:
+            row = episode_set.episodes[number]
+            simulation.reseed(header.seed, number)
+            try:
+                simulation.reset()
+            except (ValueError, WorldError) as error:
+                faults.append(f"episode {number}: {error}")
+                continue
+            (group,) = simulation.external
+            state = simulation.state.groups[group.name]
+            moved = float(np.hypot(*(state.motion.position_w[0, :2] - row.start[:2])))
+            if moved > _SETTLED_M:
+                faults.append(f"episode {number}: the robot settles {moved:.2f} m from its start")
+            distance = float(np.hypot(*np.subtract(row.goal, row.start[:2])))
+            low, high = header.goal_distance_m
+            if distance < low or (high is not None and distance > high):
+                faults.append(f"episode {number}: the goal is {distance:.2f} m from the start")
+    finally:
+        simulation.close()
+    return faults

@@ -1,27 +1,92 @@
-"""Files of episode sets: NAME.json with the header, and NAME.csv with a row for each episode."""
+"""Episode sets and their files: NAME.json with the header, and NAME.csv with a row for each episode."""
 
 import csv
+import hashlib
 import json
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.files import write_atomically
 from dune_rl.core.paths import assets_folder
+from dune_rl.core.settings import Settings
 from dune_rl.core.suggestions import closest, one_of
-from dune_rl.evaluation.episode_sets.episode_set import (
-    COLUMNS,
-    FORMAT,
-    FORMAT_VERSION,
-    EpisodeSet,
-    SetEpisode,
-    SetHeader,
-    checksum,
-)
 
 _LARGEST_FILE = 16 * 2**20
+FORMAT = "dune_rl episode set"
+FORMAT_VERSION = 1
+NAME_PATTERN = "[A-Za-z0-9][A-Za-z0-9_-]*"
+# With the unit at the end of each name; metres have a precision of 1 mm, and yaw one of 0.0001 rad.
+COLUMNS = ("episode", "world_seed", "start_x_m", "start_y_m", "start_yaw_rad", "goal_x_m", "goal_y_m")
+
+
+@dataclass(frozen=True)
+class SetEpisode:
+    """One row: the episode's number, its world's seed (None: the world has none), start and goal [m, rad]."""
+
+    episode: int
+    world_seed: int | None
+    start: tuple[float, float, float]
+    goal: tuple[float, float]
+
+    def line(self) -> str:
+        """The row as text, in the order of `COLUMNS`."""
+        seed = "" if self.world_seed is None else str(self.world_seed)
+        x, y, yaw = self.start
+        places = f"{x:.3f},{y:.3f},{yaw:.4f},{self.goal[0]:.3f},{self.goal[1]:.3f}"
+        return f"{self.episode},{seed},{places}"
+
+
+class SetHeader(Settings):
+    """What a set's JSON file says of it.
+
+    `seed` is that of the actors' paths, of sensor noise and of all else that an episode draws, together with
+    the episode's number. `settings` are the sections of an environment's settings that the set determines.
+    `footprint_radius_m` is that of the largest robot that the starts and goals have room for.
+    """
+
+    format: str
+    format_version: int
+    name: str = Field(pattern=f"^{NAME_PATTERN}$")
+    description: str
+    robot: str
+    footprint_radius_m: float = Field(gt=0.0)
+    episodes: int = Field(ge=1)
+    sites: int = Field(ge=1)
+    goal_distance_m: tuple[float, float | None]
+    seed: int = Field(ge=0)
+    settings: dict[str, Any]
+    command: str
+    sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
+
+
+@dataclass(frozen=True)
+class EpisodeSet:
+    """A set's header and its episodes, numbered from 0."""
+
+    header: SetHeader
+    episodes: tuple[SetEpisode, ...]
+
+    @property
+    def name(self) -> str:
+        """The set's name, which ends with its version, such as inspection-v1."""
+        return self.header.name
+
+    @property
+    def world(self) -> str:
+        """The name of its world."""
+        return str(self.header.settings["world"]["name"])
+
+
+def checksum(header: Mapping[str, Any], rows_text: str) -> str:
+    """SHA-256 (hexadecimal) of a set: of its header without the checksum, as canonical JSON, and its rows."""
+    content = {key: value for key, value in header.items() if key != "sha256"}
+    canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
+    return hashlib.sha256(f"{canonical}\n{rows_text}".encode()).hexdigest()
 
 
 def sets_folder() -> Path:
@@ -50,8 +115,11 @@ def read_episode_set(name: str) -> EpisodeSet:
     """The set of a name or path; raises ConfigError if it is damaged or its checksum differs."""
     file = find_episode_set(name)
     rows_file = file.with_suffix(".csv")
-    raw = _read_json(file)
     rows_text = _read_text(rows_file)
+    try:
+        raw = json.loads(_read_text(file))
+    except (ValueError, RecursionError):
+        raise ConfigError(f"{file} is not JSON; copy the set again") from None
     try:
         header = SetHeader.model_validate(raw)
     except ValidationError as error:
@@ -80,21 +148,14 @@ def write_episode_set(folder: Path, header: dict[str, Any], episodes: tuple[SetE
     full = {"format": FORMAT, "format_version": FORMAT_VERSION, **header}
     # As it will be read: tuples become lists.
     full = json.loads(json.dumps(full))
-    unsigned = EpisodeSet(SetHeader.model_validate({**full, "sha256": "0" * 64}), episodes)
-    rows_text = unsigned.rows_text()
+    rows_text = "\n".join([",".join(COLUMNS), *(episode.line() for episode in episodes)]) + "\n"
     full["sha256"] = checksum(full, rows_text)
+    header_of_set = SetHeader.model_validate(full)
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in ((".csv", rows_text), (".json", json.dumps(full, indent=1) + "\n")):
         with write_atomically(folder / f"{full['name']}{name}") as temporary:
             temporary.write_text(text, encoding="utf-8", newline="\n")
-    return EpisodeSet(SetHeader.model_validate(full), episodes)
-
-
-def _read_json(file: Path) -> Any:
-    try:
-        return json.loads(_read_text(file))
-    except (ValueError, RecursionError):
-        raise ConfigError(f"{file} is not JSON; copy the set again") from None
+    return EpisodeSet(header_of_set, episodes)
 
 
 def _read_text(file: Path) -> str:
@@ -115,17 +176,12 @@ def _parse_rows(text: str, file: Path) -> tuple[SetEpisode, ...]:
     rows = list(csv.reader(text.splitlines()))
     if not rows or tuple(rows[0]) != COLUMNS:
         raise ConfigError(f"{file} must begin with the columns {','.join(COLUMNS)}")
+    found = []
     try:
-        return tuple(_parse_row(row) for row in rows[1:])
+        for number, seed, x, y, yaw, *goal in rows[1:]:
+            goal_x, goal_y = map(float, goal)
+            start = (float(x), float(y), float(yaw))
+            found.append(SetEpisode(int(number), int(seed) if seed else None, start, (goal_x, goal_y)))
     except ValueError as error:
         raise ConfigError(f"{file} has a row that cannot be read: {error}") from None
-
-
-def _parse_row(row: list[str]) -> SetEpisode:
-    number, seed, x, y, yaw, goal_x, goal_y = row
-    return SetEpisode(
-        int(number),
-        int(seed) if seed else None,
-        (float(x), float(y), float(yaw)),
-        (float(goal_x), float(goal_y)),
-    )
+    return tuple(found)

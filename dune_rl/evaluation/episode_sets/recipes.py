@@ -3,7 +3,7 @@
 import re
 import shlex
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -15,8 +15,8 @@ from dune_rl.config.schema import EnvConf
 from dune_rl.core.errors import ConfigError, WorldError
 from dune_rl.core.seeding import stream
 from dune_rl.evaluation.episode_sets.apply import footprint_radius_m, refuse_several_robots
-from dune_rl.evaluation.episode_sets.episode_set import NAME_PATTERN, SetEpisode
-from dune_rl.tasks.spawn import Placement, Spawner
+from dune_rl.evaluation.episode_sets.files import NAME_PATTERN, SetEpisode
+from dune_rl.tasks.spawn import Spawner
 from dune_rl.worlds.world import World
 
 # conf/randomisation/worlds.yaml draws seeds from 1000 on, and the default sites have seed 0.
@@ -115,15 +115,11 @@ def all_recipes() -> dict[str, SetRecipe]:
 
 
 def _package_recipe(family: str, variant: SetVariant) -> SetRecipe:
-    return SetRecipe(
-        f"{family}{variant.suffix}-v1",
-        family,
-        ("robot=rover_zero", *variant.overrides, *_OF_FAMILY.get((family, variant.suffix), ())),
-        variant.meaning,
-        variant.goal_distance_m,
-        # Another one for each set.
-        _SET_SEED + 10 * FAMILIES.index(family) + VARIANTS.index(variant),
-    )
+    words = ("robot=rover_zero", *variant.overrides, *_OF_FAMILY.get((family, variant.suffix), ()))
+    # Another one for each set.
+    seed = _SET_SEED + 10 * FAMILIES.index(family) + VARIANTS.index(variant)
+    name = f"{family}{variant.suffix}-v1"
+    return SetRecipe(name, family, words, variant.meaning, variant.goal_distance_m, seed)
 
 
 def generate_episodes(recipe: SetRecipe) -> tuple[SetEpisode, ...]:
@@ -137,7 +133,9 @@ def generate_episodes(recipe: SetRecipe) -> tuple[SetEpisode, ...]:
     while len(found) < recipe.episodes:
         numbers = range(len(found), len(found) + each)
         try:
-            _check_paths(recipe, conf, seed)
+            # Raises WorldError as well where the walkers have no path.
+            world = conf.world.model_copy(update={"seed": seed})
+            make_simulation(conf.model_copy(update={"world": world}), 1, recipe.seed).close()
             found += generate_on_site(recipe, seed, numbers)
         except WorldError:
             # A site without room, such as one where no goal is far enough: the next one takes its place.
@@ -145,12 +143,6 @@ def generate_episodes(recipe: SetRecipe) -> tuple[SetEpisode, ...]:
                 raise
         seed += 1
     return tuple(found)
-
-
-def _check_paths(recipe: SetRecipe, conf: EnvConf, world_seed: int) -> None:
-    """Raise WorldError if the walkers have no path on a site."""
-    world = conf.world.model_copy(update={"seed": world_seed})
-    make_simulation(conf.model_copy(update={"world": world}), 1, recipe.seed).close()
 
 
 def generate_on_site(recipe: SetRecipe, world_seed: int | None, numbers: Iterable[int]) -> list[SetEpisode]:
@@ -169,48 +161,35 @@ def _episode(
     room = footprint_radius_m(conf) + conf.task.spawn.margin_m
     low, high = recipe.goal_distance_m
     for _ in range(_TRIES):
-        placement = _rounded(spawner.sample(draws))
-        ends = np.array([[placement.x, placement.y], [placement.goal_x, placement.goal_y]])
+        drawn = spawner.sample(draws)
+        start = round(drawn.x, 3), round(drawn.y, 3), round(drawn.yaw, 4)
+        goal = round(drawn.goal_x, 3), round(drawn.goal_y, 3)
+        ends = np.array([start[:2], goal])
         distance = float(np.hypot(*(ends[1] - ends[0])))
         apart = low <= distance and (high is None or distance <= high)
         # Again, since rounding moves points.
         free = (world.clearance(ends) >= room).all() and not any(spawner.why_not(x, y) for x, y in ends)
         if apart and free:
-            return SetEpisode(
-                number,
-                world_seed,
-                (placement.x, placement.y, placement.yaw),
-                (placement.goal_x, placement.goal_y),
-            )
+            return SetEpisode(number, world_seed, start, goal)
     site = "the world" if world_seed is None else f"site {world_seed}"
     apart_m = f"at least {low:g} m" if high is None else f"{low:g} to {high:g} m"
     raise WorldError(f"{recipe.name}: {site} has no start and goal {apart_m} apart; take other distances")
 
 
-def _rounded(placement: Placement) -> Placement:
-    return replace(
-        placement,
-        x=round(placement.x, 3),
-        y=round(placement.y, 3),
-        yaw=round(placement.yaw, 4),
-        goal_x=round(placement.goal_x, 3),
-        goal_y=round(placement.goal_y, 3),
-    )
-
-
 def own_recipe(
-    name: str,
-    words: Sequence[str],
-    episodes: int = 100,
-    sites: int = 1,
-    farthest: float | None = None,
+    name: str, words: Sequence[str], episodes: int = 100, sites: int = 1, farthest: float | None = None,
     seed: int = 0,
-) -> SetRecipe:
+) -> SetRecipe:  # fmt: skip
     """A recipe from settings such as +world=NAME and robot=NAME; raises ConfigError where it cannot be one.
 
     Goals lie at least `task.spawn.min_goal_distance_m` from the start, and at most `farthest` [m].
     """
-    _check_name(name)
+    if name in all_recipes():
+        raise ConfigError(f"{name} is a set of the package; give yours another name")
+    if not re.fullmatch(NAME_PATTERN, name):
+        raise ConfigError(
+            f"a set's name has letters, digits, '-' and '_' alone, such as mine-v1 (got {name!r})"
+        )
     world = override_value(words, "world")
     if not isinstance(world, str):
         raise ConfigError(f"the set {name} needs a world: +world=NAME")
@@ -234,23 +213,6 @@ def own_recipe(
     distances = f"{nearest:g} m or more" if farthest is None else f"{nearest:g} to {farthest:g} m"
     options = [f"--episodes={episodes}", f"--sites={sites}", f"--seed={seed}"]
     options += [] if farthest is None else [f"--farthest={farthest:g}"]
-    return SetRecipe(
-        name,
-        world,
-        tuple(others),
-        f"starts and goals {distances} apart",
-        (nearest, farthest),
-        seed,
-        episodes,
-        sites,
-        (*words, *options),
-    )
-
-
-def _check_name(name: str) -> None:
-    if name in all_recipes():
-        raise ConfigError(f"{name} is a set of the package; give yours another name")
-    if not re.fullmatch(NAME_PATTERN, name):
-        raise ConfigError(
-            f"a set's name has letters, digits, '-' and '_' alone, such as mine-v1 (got {name!r})"
-        )
+    meaning, limits_m = f"starts and goals {distances} apart", (nearest, farthest)
+    all_words = (*words, *options)
+    return SetRecipe(name, world, tuple(others), meaning, limits_m, seed, episodes, sites, all_words)

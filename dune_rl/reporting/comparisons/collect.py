@@ -10,7 +10,7 @@ from typing import Any, get_args
 
 from dune_rl.config.commands import BuiltInPolicy
 from dune_rl.config.saved import robot_names, split_groups
-from dune_rl.evaluation.episode_sets import read_episode_set
+from dune_rl.evaluation.episode_sets.files import read_episode_set
 from dune_rl.reporting.comparisons.comparison import Cases, Comparison, EvaluatedPolicy
 from dune_rl.reporting.csv_rows import is_number
 from dune_rl.reporting.origins import installed_checksum, policy_origins
