@@ -62,7 +62,7 @@ def _compose(parsed: Namespace) -> EvaluateConf:
     from dune_rl.config.checks import validate
     from dune_rl.evaluation.episode_sets.apply import check_set_overrides, settings_on_set
     from dune_rl.evaluation.episode_sets.files import read_episode_set
-    from dune_rl.evaluation.protocols import check_protocol_overrides, settings_of_protocol
+    from dune_rl.evaluation.protocols.settings import check_protocol_overrides, settings_of_protocol
 
     overrides = list(parsed.overrides)
     name = override_value(overrides, "set")

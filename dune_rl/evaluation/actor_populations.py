@@ -1,5 +1,6 @@
 """Populations of actors for a cross-play: options of `actors`, and actors that runs trained."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -53,17 +54,15 @@ def find_populations(conf: EvaluateConf, config_dirs: Sequence[str] = ()) -> tup
             faults.append(f"populations: {error}")
     if faults:
         raise ConfigError("\n".join(faults))
-    names = [one.name for one in found]
-    named = tuple(
-        one if names.count(one.name) == 1 else replace(one, name=one.location.strip("/").replace("/", "_"))
-        for one in found
-    )
     # Each has a folder of its name.
-    names = [one.name for one in named]
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise ConfigError(f"populations: {twice} is there twice; leave one of them out")
-    return named
+    count = Counter(one.name for one in found)
+    for index, one in enumerate(found):
+        if count[one.name] > 1:
+            found[index] = replace(one, name=one.location.strip("/").replace("/", "_"))
+    for name, number in Counter(one.name for one in found).items():
+        if number > 1:
+            raise ConfigError(f"populations: {name} is there twice; leave one of them out")
+    return tuple(found)
 
 
 def _population(location: str, config_dirs: Sequence[str]) -> ActorPopulation:
@@ -99,29 +98,20 @@ def _population(location: str, config_dirs: Sequence[str]) -> ActorPopulation:
     if not any(one.is_external for one in actors):
         trained = ", ".join(sorted(content["groups"]))
         raise ConfigError(f"{location} trained no actors, but {trained}; give one that did")
-    return ActorPopulation(
-        checkpoint_name(path),
-        CHECKPOINT,
-        location,
-        str(file),
-        sha256_of(file),
-        {one.name: _plain(one, str(file)) for one in actors},
-    )
+    groups = {one.name: _plain(one, str(file)) for one in actors}
+    return ActorPopulation(checkpoint_name(path), CHECKPOINT, location, str(file), sha256_of(file), groups)
 
 
 def _plain(group: ResolvedGroup, weights: str) -> dict[str, Any]:
     """A group of a run as plain data, which acts by the file `weights` where it learned in that run."""
     values = {name: getattr(group, name) for name in AgentGroupConf.model_fields}
+    sensors = {name: entry.model_dump(mode="json") for name, entry in (group.sensors or {}).items()}
     values |= {
         "controller": {"checkpoint": weights} if group.is_external else group.controller,
-        "sensors": NONE
-        if not group.sensors
-        else {name: entry.model_dump(mode="json") for name, entry in group.sensors.items()},
+        "sensors": sensors or NONE,
         # Its goals, and no rewards, which nobody reads.
         "task": NONE if group.task is None else roaming_task(group.task),
         "metrics": NONE,
     }
-    return {
-        name: value.model_dump(mode="json") if isinstance(value, BaseModel) else value
-        for name, value in values.items()
-    }
+    models = {name: value for name, value in values.items() if isinstance(value, BaseModel)}
+    return values | {name: value.model_dump(mode="json") for name, value in models.items()}

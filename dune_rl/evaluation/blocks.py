@@ -23,19 +23,19 @@ def missing_blocks(
     whatever the blocks: matrix products of another shape differ in their last bits.
     """
     # Long blocks waste less at their ends; several for each process even out what they take.
-    longest = (
-        episodes if processes == 1 else max(1, -(-episodes * policies // (3 * processes * scenes))) * scenes
-    )
+    longest = episodes
+    if processes > 1:
+        longest = max(1, -(-episodes * policies // (3 * processes * scenes))) * scenes
     found: list[EpisodeBlock] = []
     for policy in range(policies):
         for first in range(0, episodes, scenes):
             numbers = range(first, min(first + scenes, episodes))
             if all((policy, number) in done for number in numbers):
                 continue
-            last = found[-1] if found else None
-            follows = last is not None and last.policy == policy and last.first + last.count == first
-            if last is not None and follows and last.count + len(numbers) <= longest:
-                found[-1] = EpisodeBlock(policy, last.first, last.count + len(numbers))
+            last = found[-1] if found else EpisodeBlock(-1, 0, 0)
+            count = last.count + len(numbers)
+            if last.policy == policy and last.first + last.count == first and count <= longest:
+                found[-1] = EpisodeBlock(policy, last.first, count)
             else:
                 found.append(EpisodeBlock(policy, first, len(numbers)))
     return found

@@ -27,6 +27,7 @@ from dune_rl.evaluation.running import EvaluationPlan
 
 RECORD, MATRIX, PICTURE = "cross_play.json", "cross_play.csv", "cross_play.png"
 MEASURES = ("SR", "TC", "OC")
+_ESTIMATE = ("measure", "value", "low", "high", "count", "units")
 
 
 def settings_among(conf: EvaluateConf, population: ActorPopulation, out: Path) -> EvaluateConf:
@@ -62,7 +63,14 @@ def begin_cross_play(
             raise ConfigError(f"out={out} holds {what} ({others[0]}); remove it, or choose another folder")
     for one in populations:
         check_free(out / one.name, overwrite=overwrite)
-    _check_startable(populations, plans)
+    faults = []
+    for one, plan in zip(populations, plans, strict=True):
+        try:
+            prepare_run(plan).close()
+        except DuneError as error:
+            faults.append(f"populations: {one.location}: {error}")
+    if faults:
+        raise ConfigError("\n".join(faults))
     for one, plan in zip(populations, plans, strict=True):
         provenance = {**describe_provenance(plan), "population": one.plain()}
         with ResultsFolder.create(out / one.name, plan.conf, provenance, overwrite=overwrite):
@@ -77,28 +85,18 @@ def begin_cross_play(
         temporary.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
 
 
-def _check_startable(populations: Sequence[ActorPopulation], plans: Sequence[EvaluationPlan]) -> None:
-    """Raise ConfigError, which names every population at fault, unless all plans can begin."""
-    faults = []
-    for one, plan in zip(populations, plans, strict=True):
-        try:
-            prepare_run(plan).close()
-        except DuneError as error:
-            faults.append(f"populations: {one.location}: {error}")
-    if faults:
-        raise ConfigError("\n".join(faults))
-
-
 def run_cross_play(out: Path, console: Console, processes: int | None = None) -> None:
     """Run what the cross-play in `out` lacks, write its matrix as CSV and picture, and show it."""
     populations = _read_record(out)["populations"]
     for one in populations:
         _run_population(out, one, console, processes)
-    rows = [
-        {"robot": row["policy"], "group": row["group"], "population": one["name"], **row["estimate"]}
-        for one in populations
-        for row in _summary(out / one["name"])
-    ]
+    rows = []
+    for one in populations:
+        with (out / one["name"] / f"{SUMMARY}.csv").open(encoding="utf-8", newline="") as file:
+            for row in csv.DictReader(file):
+                if row["measure"] in MEASURES:
+                    names = {"robot": row["policy"], "group": row["group"], "population": one["name"]}
+                    rows.append(names | {key: row[key] for key in _ESTIMATE})
     write_csv(out / MATRIX, rows)
     if rows:
         draw_matrices(rows, MEASURES, out / PICTURE)
@@ -130,7 +128,10 @@ def _run_population(
     provenance = read_provenance(path)
     if provenance.get("complete"):
         return
-    _check_unchanged(population)
+    if population["kind"] == CHECKPOINT and sha256_of(Path(population["weights"])) != population["sha256"]:
+        raise ConfigError(
+            f"{population['weights']} has other weights than when the cross-play began; run it again"
+        )
     plan = EvaluationPlan.of_settings(read_settings(path))
     check_same_sources(plan, provenance, path)
     console.print(f"Among {population['name']}", highlight=False, markup=False)
@@ -149,38 +150,17 @@ def _run_population(
             raise
 
 
-def _check_unchanged(population: Mapping[str, Any]) -> None:
-    if population["kind"] != CHECKPOINT:
-        return
-    file = Path(population["weights"])
-    if sha256_of(file) != population["sha256"]:
-        raise ConfigError(f"{file} has other weights than when the cross-play began; run it again")
-
-
-def _summary(path: Path) -> list[dict[str, Any]]:
-    with (path / f"{SUMMARY}.csv").open(encoding="utf-8", newline="") as file:
-        rows = [row for row in csv.DictReader(file) if row["measure"] in MEASURES]
-    kept = ["measure", "value", "low", "high", "count", "units"]
-    return [
-        {"policy": row["policy"], "group": row["group"], "estimate": {key: row[key] for key in kept}}
-        for row in rows
-    ]
-
-
 def _show(rows: Sequence[Mapping[str, Any]], console: Console) -> None:
     populations = list(dict.fromkeys(row["population"] for row in rows))
     for measure in MEASURES:
         cells = cells_of(rows, measure)
-        if not cells:
-            continue
-        table = Table(title=f"{measure} of robots among populations of actors", title_justify="left")
-        table.add_column("robot")
+        table = Table("robot", title=f"{measure} of robots among populations of actors", title_justify="left")
         for name in populations:
             table.add_column(name, justify="right")
         robots = list(dict.fromkeys((key[0], key[1]) for key in cells))
-        for robot, group in robots:
-            found = [cells.get((robot, group, name)) for name in populations]
-            table.add_row(
-                row_title(robot, group, robots), *("" if one is None else describe_cell(one) for one in found)
-            )
-        console.print(table)
+        for robot in robots:
+            found = [cells.get((*robot, name)) for name in populations]
+            texts = ["" if one is None else describe_cell(one) for one in found]
+            table.add_row(row_title(*robot, robots), *texts)
+        if cells:
+            console.print(table)

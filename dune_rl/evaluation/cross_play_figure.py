@@ -67,14 +67,9 @@ def _draw(
     populations: Sequence[str],
 ) -> None:
     about = measure_of(measure)
+    nothing: Row = {"value": np.nan}
     values = np.array(
-        [
-            [
-                float(cells[(*robot, name)]["value"]) if (*robot, name) in cells else np.nan
-                for name in populations
-            ]
-            for robot in robots
-        ]
+        [[float(cells.get((*robot, name), nothing)["value"]) for name in populations] for robot in robots]
     )
     beyond = values >= _FARTHEST_M if measure == _CLEARANCE else np.zeros(values.shape, bool)
     measured = np.where(beyond, np.nan, values)
@@ -85,19 +80,11 @@ def _draw(
     colours = colormaps["Blues"](0.08 + 0.82 * np.nan_to_num(shade))
     colours[beyond] = to_rgba(_BEYOND)
     axes.imshow(colours, aspect="auto")
-    for row, robot in enumerate(robots):
-        for column, name in enumerate(populations):
-            cell = cells.get((*robot, name))
-            if cell is not None:
-                axes.text(
-                    column,
-                    row,
-                    _NOTHING_NEAR if beyond[row, column] else describe_cell(cell, "\n"),
-                    ha="center",
-                    va="center",
-                    fontsize=7,
-                    color="white" if shade[row, column] > 1 - _LIGHT else "#1d1d1f",
-                )
+    for (*robot, name), cell in cells.items():
+        row, column = robots.index((robot[0], robot[1])), populations.index(name)
+        text = _NOTHING_NEAR if beyond[row, column] else describe_cell(cell, "\n")
+        colour = "white" if shade[row, column] > 1 - _LIGHT else "#1d1d1f"
+        axes.text(column, row, text, ha="center", va="center", fontsize=7, color=colour)
     axes.set_yticks(range(len(robots)), [_short(row_title(*robot, robots)) for robot in robots])
     axes.set_xticks(range(len(populations)), [_short(name) for name in populations], rotation=20, ha="right")
     unit = "" if about.is_share or not about.unit else f" [{about.unit}]"

@@ -2,7 +2,7 @@
 
 import contextlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -12,9 +12,10 @@ import yaml
 from dune_rl.config.checks import validate
 from dune_rl.config.commands import EvaluateConf
 from dune_rl.core.errors import CheckpointError, ConfigError
-from dune_rl.core.files import sha256_of, write_atomically
+from dune_rl.core.files import sha256_of, write_atomically, write_csv
 from dune_rl.evaluation.blocks import FinishedEpisode
-from dune_rl.evaluation.tables import write_columns, write_tables
+from dune_rl.evaluation.columns import describe_columns
+from dune_rl.evaluation.tables import write_tables
 from dune_rl.learning.run.lock import RunLock
 
 CONFIG, PROVENANCE, COLUMNS = "config.yaml", "provenance.json", "columns.csv"
@@ -123,8 +124,8 @@ class ResultsFolder:
             steps = [step for key in sorted(self.finished) for step in self.finished[key].steps]
             if steps:
                 write_tables(self.path / STEPS, steps, told)
-            names = dict.fromkeys(name for row in rows for name in row)
-            write_columns(self.path / COLUMNS, list(names | dict.fromkeys(steps[0] if steps else ())))
+            names = dict.fromkeys(name for row in [*rows, *steps[:1]] for name in row)
+            write_csv(self.path / COLUMNS, describe_columns(list(names)))
         self.write_provenance(complete=False)
 
     def complete(self) -> None:
@@ -175,20 +176,15 @@ def _is_temporary(name: str) -> bool:
 
 def changed_files(path: Path, provenance: Mapping[str, Any]) -> list[str]:
     """The files in `path` that are not as the evaluation wrote them, by their checksums."""
-    sums: Mapping[str, str] = provenance.get("files", {})
-    # A name with a folder is of no file that the evaluation wrote.
-    return [
-        name
-        for name, sha256 in sums.items()
-        if Path(name).name != name or _sha256_if_readable(path / name) != sha256
-    ]
-
-
-def _sha256_if_readable(file: Path) -> str | None:
-    try:
-        return sha256_of(file)
-    except OSError:
-        return None
+    changed = []
+    for name, sha256 in provenance.get("files", {}).items():
+        # A name with a folder is of no file that the evaluation wrote.
+        try:
+            same = Path(name).name == name and sha256_of(path / name) == sha256
+        except OSError:
+            same = False
+        changed += [] if same else [name]
+    return changed
 
 
 def read_provenance(path: Path) -> dict[str, Any]:
@@ -206,12 +202,12 @@ def read_provenance(path: Path) -> dict[str, Any]:
 
 
 def _has_sources(content: Mapping[str, Any]) -> bool:
-    policies, used, files = content.get("policies"), content.get("set"), content.get("files", {})
+    policies, is_files = content.get("policies"), isinstance(content.get("files", {}), dict)
     return (
         isinstance(policies, list)
         and all(isinstance(one, dict) and {"location", "sha256"} <= one.keys() for one in policies)
-        and (used is None or isinstance(used, dict))
-        and isinstance(files, dict)
+        and isinstance(content.get("set"), dict | None)
+        and is_files
     )
 
 
@@ -224,9 +220,3 @@ def read_settings(path: Path) -> EvaluateConf:
     if not isinstance(content, Mapping):
         raise ConfigError(f"{path / CONFIG} is missing or damaged; evaluate again")
     return validate(EvaluateConf, content)
-
-
-def rows_of_group(rows: Iterable[Mapping[str, Any]], agents: Iterable[str]) -> list[Mapping[str, Any]]:
-    """The rows of these agents."""
-    names = set(agents)
-    return [row for row in rows if row["agent"] in names]

@@ -2,8 +2,9 @@
 
 import importlib
 import traceback
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -87,23 +88,17 @@ def policy_sources(conf: EvaluateConf) -> tuple[PolicySource, ...]:
             found.append(PolicySource(location, "built-in", location))
     found = list(dict.fromkeys(found))
     names = [source.name for source in found]
-    return tuple(
-        source
-        if names.count(source.name) == 1
-        else PolicySource(_longer(source), source.kind, source.location)
-        for source in found
-    )
+    for index, source in enumerate(found):
+        if names.count(source.name) > 1:
+            longer = source.location if source.kind != "built-in" else f"{source.location} (built in)"
+            found[index] = replace(source, name=longer)
+    return tuple(found)
 
 
 def checkpoint_name(path: Path) -> str:
     """What the policies of a run's folder, or of a file, are called."""
     # "." and ".." are folders without a name of their own.
     return path.resolve().name if path.is_dir() else path.parent.name or path.stem
-
-
-def _longer(source: PolicySource) -> str:
-    """A name that tells policies of equal names apart."""
-    return source.location if source.kind != "built-in" else f"{source.location} (built in)"
 
 
 class RandomByEpisode:
@@ -143,12 +138,8 @@ class UserPolicy:
             parts = observation.get((group, "observation"))
             shape = parts.batch_size
             rows = {key: value.flatten(0, 1).numpy().copy() for key, value in parts.items()}
-            try:
+            with _users_code(f"policy {self._name} failed"):
                 actions = np.asarray(self._act(rows))
-            except DuneError:
-                raise
-            except Exception as error:
-                raise ConfigError(f"policy {self._name} failed: {_describe(error)}") from error
             expected = (shape.numel(), spec.action_size)
             fault = ""
             if actions.dtype.kind not in "fiu":
@@ -161,13 +152,9 @@ class UserPolicy:
                 raise ConfigError(
                     f"policy {self._name}: actions must be finite numbers of shape {expected} ({fault})"
                 )
-            clipped = np.clip(
-                actions.astype(np.float32),
-                np.asarray(spec.low, np.float32),
-                np.asarray(spec.high, np.float32),
-            )
-            action = torch.from_numpy(clipped.reshape(*shape, spec.action_size))
-            observation.set((group, "action"), action)
+            low, high = np.asarray(spec.low, np.float32), np.asarray(spec.high, np.float32)
+            clipped = np.clip(actions.astype(np.float32), low, high).reshape(*shape, spec.action_size)
+            observation.set((group, "action"), torch.from_numpy(clipped))
         return observation
 
 
@@ -178,41 +165,41 @@ def _import_function(location: str) -> Act:
             f"policy={location}: write MODULE:FUNCTION, such as my_drivers:straight for the function "
             "straight of my_drivers.py in this folder"
         )
-    try:
-        imported = importlib.import_module(module)
-    except ModuleNotFoundError as error:
-        raise ConfigError(
-            f"policy={location}: the module {module} cannot be imported ({error}); run the command in its "
-            "folder, or set PYTHONPATH"
-        ) from None
-    except Exception as error:
-        raise ConfigError(f"policy={location}: importing {module} failed: {_describe(error)}") from error
-    try:
-        found = getattr(imported, name)
-    except AttributeError:
+    with _users_code(f"policy={location}: importing {module} failed"):
+        try:
+            imported = importlib.import_module(module)
+        except ModuleNotFoundError as error:
+            raise ConfigError(
+                f"policy={location}: the module {module} cannot be imported ({error}); run the command in "
+                "its folder, or set PYTHONPATH"
+            ) from None
+    found = getattr(imported, name, None)
+    if found is None:
         near = closest(name, vars(imported))
         meant = f"; did you mean {module}:{near}?" if near else ""
-        raise ConfigError(f"policy={location}: the module {module} has no {name}{meant}") from None
-    try:
+        raise ConfigError(f"policy={location}: the module {module} has no {name}{meant}")
+    with _users_code(f"policy={location} cannot be made"):
         # A class is made once for each process.
-        act = found() if isinstance(found, type) else found
+        act: Act = found() if isinstance(found, type) else found
+    if not callable(act):
+        raise ConfigError(f"policy={location} is no function, but {type(act).__name__}")
+    return act
+
+
+@contextmanager
+def _users_code(fault: str) -> Iterator[None]:
+    """Raise ConfigError, opened by `fault`, with the kind, text and place of an error in a user's code."""
+    try:
+        yield
     except DuneError:
         raise
     except Exception as error:
-        raise ConfigError(f"policy={location} cannot be made: {_describe(error)}") from error
-    if not callable(act):
-        raise ConfigError(f"policy={location} is no function, but {type(act).__name__}")
-    function: Act = act
-    return function
-
-
-def _describe(error: Exception) -> str:
-    """Kind, text and place of an error in a user's code."""
-    lines = str(error).splitlines()
-    text = f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
-    frames = [each for each in traceback.extract_tb(error.__traceback__) if "importlib" not in each.filename]
-    last = frames[-1]
-    return text if last.filename == __file__ else f"{text} (line {last.lineno} of {last.filename})"
+        lines = str(error).splitlines()
+        text = f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
+        frames = traceback.extract_tb(error.__traceback__)
+        last = [each for each in frames if "importlib" not in each.filename][-1]
+        place = "" if last.filename == __file__ else f" (line {last.lineno} of {last.filename})"
+        raise ConfigError(f"{fault}: {text}{place}") from error
 
 
 def _onnx_function(path: Path) -> Act:

@@ -6,7 +6,7 @@ from rich.console import Console
 
 from dune_rl.core.files import write_csv
 from dune_rl.evaluation.blocks import FinishedEpisode, missing_blocks
-from dune_rl.evaluation.folder import ATTEMPTS, COMPARISON, RUNS, SUMMARY, ResultsFolder, rows_of_group
+from dune_rl.evaluation.folder import ATTEMPTS, COMPARISON, RUNS, SUMMARY, ResultsFolder
 from dune_rl.evaluation.processes import run_in_processes
 from dune_rl.evaluation.protocols.report import attempt_rows, estimate_runs, finished_runs, show_runs
 from dune_rl.evaluation.recorder import START_COLUMNS
@@ -95,32 +95,42 @@ def run_plan(
     console.print(f"Results: {folder.path}", highlight=False, soft_wrap=True)
 
 
+Compared = list[tuple[str, PairedComparison]]
+SummaryRows = list[dict[str, object]]
+
+
 def _report(
     plan: EvaluationPlan, folder: ResultsFolder, agents: Mapping[str, Sequence[str]], console: Console
 ) -> None:
-    if plan.conf.protocol is not None:
-        _report_runs(plan, folder, agents, console)
-        return
+    """Show the tables, and write them as CSV."""
+    report = _report_episodes if plan.conf.protocol is None else _report_runs
+    summary, compared = report(plan, folder, agents, console)
+    write_csv(folder.path / f"{SUMMARY}.csv", summary)
+    if compared:
+        rows = [{"group": group, **_comparison_row(one)} for group, one in compared]
+        write_csv(folder.path / f"{COMPARISON}.csv", rows)
+
+
+def _report_episodes(
+    plan: EvaluationPlan, folder: ResultsFolder, agents: Mapping[str, Sequence[str]], console: Console
+) -> tuple[SummaryRows, Compared]:
     rows = folder.rows()
-    summary: list[dict[str, object]] = []
-    comparisons: list[dict[str, object]] = []
+    summary: SummaryRows = []
+    comparisons: Compared = []
+    case = plan.conf.world.name if plan.episode_set is None else plan.episode_set.name
+    count = "1 episode" if plan.episodes == 1 else f"{plan.episodes} episodes"
     for group, names in agents.items():
-        of_group = rows_of_group(rows, names)
-        if not of_group:
-            # Groups without metrics have no rows.
-            continue
         numbers = {name: float(index) for index, name in enumerate(names)}
-        by_policy = {
-            source.name: [
-                {**row, "agent": numbers[row["agent"]]} for row in of_group if row["policy"] == source.name
-            ]
-            for source in plan.sources
-        }
-        # Among the actors of some policy nobody may have come.
-        results = {name: found for name, found in by_policy.items() if found}
+        results: dict[str, list[MetricsRow]] = {}
+        # Groups without metrics have no rows; among the actors of some policy nobody may have come.
+        for source in plan.sources:
+            own = [row for row in rows if row["policy"] == source.name and row["agent"] in numbers]
+            if own:
+                results[source.name] = [{**row, "agent": numbers[row["agent"]]} for row in own]
+        if not results:
+            continue
         estimates = {name: estimate_metrics(_numeric(found)) for name, found in results.items()}
-        title = f"{_title(plan)}, {group}" if len(agents) > 1 else _title(plan)
-        count = "1 episode" if plan.episodes == 1 else f"{plan.episodes} episodes"
+        title = f"{case}, {group}" if len(agents) > 1 else case
         title += f": {count} of seed {plan.conf.seed}"
         clusters, kind = cluster_rows(next(iter(results.values())))
         sites = int(clusters.max()) + 1 if clusters is not None and kind == "sites" else 0
@@ -134,50 +144,41 @@ def _report(
             else:
                 console.print(comparison_table(compared, "SR"))
         summary += _summary_rows(plan, group, estimates)
-        comparisons += [{"group": group, **_comparison_row(one)} for one in compared]
-    write_csv(folder.path / f"{SUMMARY}.csv", summary)
-    if comparisons:
-        write_csv(folder.path / f"{COMPARISON}.csv", comparisons)
+        comparisons += [(group, one) for one in compared]
+    return summary, comparisons
 
 
 def rows_in_common(results: Mapping[str, Sequence[MetricsRow]]) -> dict[str, list[MetricsRow]]:
     """The rows, by policy, of the episodes and agents that all policies have: agents come and go."""
-    common = set.intersection(
-        *({(row["episode"], row["agent"]) for row in rows} for rows in results.values())
-    )
-    if not common:
-        return {}
-    return {
+    keys = [{(row["episode"], row["agent"]) for row in rows} for rows in results.values()]
+    common = set.intersection(*keys)
+    chosen = {
         name: [row for row in rows if (row["episode"], row["agent"]) in common]
         for name, rows in results.items()
     }
+    return chosen if common else {}
 
 
 def _report_runs(
     plan: EvaluationPlan, folder: ResultsFolder, agents: Mapping[str, Sequence[str]], console: Console
-) -> None:
+) -> tuple[SummaryRows, Compared]:
     (group,) = agents
     finished = list(folder.finished.values())
     estimates, runs, described = estimate_runs(plan, finished, group)
     compared = show_runs(plan, estimates, runs, console)
     summary = _summary_rows(plan, group, estimates)
     if plan.conf.protocol == "paper":
+        rows = [row for row in folder.rows() if row["finished"]]
         by_episode = {
-            source.name: estimate_metrics(
-                _numeric([row for row in folder.rows() if row["policy"] == source.name and row["finished"]])
-            )
+            source.name: estimate_metrics(_numeric([row for row in rows if row["policy"] == source.name]))
             for source in plan.sources
         }
         summary += _summary_rows(plan, group, by_episode)
-    write_csv(folder.path / f"{SUMMARY}.csv", summary)
     write_csv(folder.path / f"{RUNS}.csv", described)
     attempts = attempt_rows(plan, finished, group)
     if attempts:
         write_csv(folder.path / f"{ATTEMPTS}.csv", attempts)
-    if compared:
-        write_csv(
-            folder.path / f"{COMPARISON}.csv", [{"group": group, **_comparison_row(one)} for one in compared]
-        )
+    return summary, [(group, one) for one in compared]
 
 
 def _summary_rows(
@@ -197,10 +198,6 @@ def _summary_rows(
     ]
 
 
-def _title(plan: EvaluationPlan) -> str:
-    return plan.conf.world.name if plan.episode_set is None else plan.episode_set.name
-
-
 def _numeric(rows: Sequence[Mapping[str, object]]) -> list[dict[str, float]]:
     """The metrics of rows and the seeds of their worlds, without names, the episodes' seed and places."""
     left_out = ("seed", "run", "finished", *START_COLUMNS)
@@ -211,16 +208,9 @@ def _numeric(rows: Sequence[Mapping[str, object]]) -> list[dict[str, float]]:
 
 
 def _comparison_row(one: PairedComparison) -> dict[str, object]:
+    measure, difference = one.measure, one.difference
     return {
-        "measure": one.measure.name,
-        "metric": one.measure.metric,
-        "first": one.first,
-        "second": one.second,
-        "difference": one.difference.value,
-        "low": one.difference.low,
-        "high": one.difference.high,
-        "episodes": one.difference.count,
-        "p": one.p_value,
-        "p_holm": one.adjusted_p,
-        "effect": one.effect,
+        **{"measure": measure.name, "metric": measure.metric, "first": one.first, "second": one.second},
+        **{"difference": difference.value, "low": difference.low, "high": difference.high},
+        **{"episodes": difference.count, "p": one.p_value, "p_holm": one.adjusted_p, "effect": one.effect},
     }

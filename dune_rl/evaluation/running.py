@@ -6,7 +6,6 @@ from functools import partial
 from typing import Any, Self
 
 import torch
-from tensordict import TensorDictBase
 
 from dune_rl.config.build import make_learning_env
 from dune_rl.config.commands import EvaluateConf
@@ -16,7 +15,7 @@ from dune_rl.evaluation.episode_sets.apply import plan_of_set
 from dune_rl.evaluation.episode_sets.files import EpisodeSet, read_episode_set
 from dune_rl.evaluation.policies import PolicySource, UserPolicy, policy_sources
 from dune_rl.evaluation.protocols.attempts import AttemptRecorder
-from dune_rl.evaluation.protocols.run_observer import RunLength, RunObserver
+from dune_rl.evaluation.protocols.run_observer import RunObserver
 from dune_rl.evaluation.protocols.settings import EPISODES_PER_RUN
 from dune_rl.evaluation.recorder import EpisodeRecorder
 from dune_rl.evaluation.tables import plain_number
@@ -83,8 +82,8 @@ class BlockRunner:
         """Run a block and `emit` its episodes, in the order in which they end; of runs, in their order."""
         if self.plan.conf.protocol is not None:
             self._run_steps(block, emit)
-            return
-        self.watch(block, _Emitter(self, block.policy, emit))
+        else:
+            self.watch(block, _Emitter(self, block.policy, emit))
 
     def watch(self, block: EpisodeBlock, observer: EpisodeObserver) -> None:
         """Run a block of episodes; `observer` is called at their steps and ends."""
@@ -109,18 +108,18 @@ class BlockRunner:
         simulation = self.env.base_env.simulation
         (group,) = self.agents
         for run in range(block.first, block.first + block.count):
-            length = RunLength(run, run * EPISODES_PER_RUN, conf.run_steps, conf.physics.control_step_s)
             attempts = AttemptRecorder(simulation, group) if conf.protocol == "dune_code" else None
-            observer = RunObserver(simulation, group, length, partial(self.record, block.policy), attempts)
+            record = partial(self.record, block.policy)
+            observer = RunObserver(simulation, group, run, conf.run_steps, record, attempts)
             observer.inner = _Emitter(self, block.policy, observer.add)
             evaluate(
                 self._policies[block.policy],
                 self.env,
                 EPISODES_PER_RUN,
                 conf.seed,
-                first=length.first,
+                first=observer.first,
                 observer=observer,
-                stop=lambda observer=observer: observer.is_full,  # type: ignore[misc]
+                stop=observer.is_full,
             )
             for episode in observer.episodes():
                 emit(episode)
@@ -152,15 +151,9 @@ class _Emitter:
     def __init__(self, runner: BlockRunner, policy: int, emit: Callable[[FinishedEpisode], None]) -> None:
         self._runner, self._policy, self._emit = runner, policy, emit
         simulation = runner.env.base_env.simulation
-        self._recorder = EpisodeRecorder(
-            simulation, steps=runner.plan.conf.steps, actors=runner.plan.conf.actor_steps
-        )
-
-    def begin(self) -> None:
-        self._recorder.begin()
-
-    def step(self, after: TensorDictBase) -> None:
-        self._recorder.step(after)
+        conf = runner.plan.conf
+        self._recorder = EpisodeRecorder(simulation, steps=conf.steps, actors=conf.actor_steps)
+        self.begin, self.step = self._recorder.begin, self._recorder.step
 
     def finish(self, rows: Mapping[str, list[MetricsRow]]) -> None:
         self._recorder.finish(rows)

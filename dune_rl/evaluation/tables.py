@@ -154,11 +154,6 @@ def write_tables(stem: Path, rows: Sequence[Row], metadata: Mapping[str, str]) -
         pyarrow.parquet.write_table(pyarrow.table(columns, schema=schema), temporary)
 
 
-def write_columns(path: Path, names: Sequence[str]) -> None:
-    """Write a CSV of units and meanings of columns."""
-    write_csv(path, describe_columns(names))
-
-
 def _arrow_type(values: Sequence[Any], pyarrow: Any) -> Any:
     present = [value for value in values if value is not None]
     if any(isinstance(value, str) for value in present):

@@ -4,9 +4,8 @@ import csv
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from rich.console import Console
 
@@ -20,8 +19,7 @@ from dune_rl.learning.run.progress import show_episodes
 _SHOWN = 3
 
 
-@dataclass(frozen=True)
-class RowDifference:
+class RowDifference(NamedTuple):
     """A cell of a repeated episode that differs from what was stored."""
 
     policy: str
@@ -53,9 +51,8 @@ def sample_blocks(
             break
         block = blocks[index]
         found.append(block)
-        count += (
-            block.count if sizes is None else sizes.get((plan.sources[block.policy].name, block.first), 0)
-        )
+        key = plan.sources[block.policy].name, block.first
+        count += block.count if sizes is None else sizes.get(key, 0)
     return sorted(found, key=lambda block: (block.policy, block.first))
 
 
@@ -90,7 +87,11 @@ def verify_folder(path: Path, plan: EvaluationPlan, sample: int, console: Consol
                     missing += 1
                     continue
                 repeated.append(row)
-                differences.extend(_differences(stored[key], row))
+                for column, value in row.items():
+                    before, now = str(stored[key].get(column)), "" if value is None else str(value)
+                    if before != now:
+                        where = row["policy"], row["episode"], row["agent"], column
+                        differences.append(RowDifference(*where, before, now))
             show(count)
 
         for block in blocks:
@@ -98,12 +99,12 @@ def verify_folder(path: Path, plan: EvaluationPlan, sample: int, console: Consol
     runner.close()
     if not repeated and not complete:
         raise ConfigError(f"{path} has none of the sampled episodes; go on with resume={path} first")
-    edited = [f"{' and '.join(changed)} changed since the evaluation wrote them."] if changed else []
+    edited = []
     if missing and complete:
-        edited.insert(
-            0, f"{missing} of {missing + len(repeated)} sampled rows are missing in {EPISODES}.csv."
-        )
-    elif missing:
+        edited += [f"{missing} of {missing + len(repeated)} sampled rows are missing in {EPISODES}.csv."]
+    if changed:
+        edited += [f"{' and '.join(changed)} changed since the evaluation wrote them."]
+    if missing and not complete:
         console.print(f"{missing} sampled rows are not in the files yet.", highlight=False)
     if differences:
         raise ConfigError("\n".join([_describe(path, differences, len(repeated)), *edited]))
@@ -127,16 +128,6 @@ def _read_rows(path: Path, complete: bool) -> dict[tuple[str, str, str], dict[st
         return {(row["policy"], row["episode"], row["agent"]): row for row in rows}
     except (OSError, KeyError, csv.Error, UnicodeDecodeError):
         raise ConfigError(f"{file} is missing or has no rows of episodes; evaluate again") from None
-
-
-def _differences(stored: Mapping[str, str], row: Mapping[str, Any]) -> list[RowDifference]:
-    found = []
-    for column, value in row.items():
-        text = "" if value is None else str(value)
-        if stored.get(column) != text:
-            there = str(stored.get(column))
-            found.append(RowDifference(row["policy"], row["episode"], row["agent"], column, there, text))
-    return found
 
 
 def _describe(path: Path, differences: Sequence[RowDifference], rows: int) -> str:

@@ -12,7 +12,7 @@ import yaml
 from dune_rl import evaluate
 from dune_rl.evaluation import run_plan
 from dune_rl.evaluation.blocks import EpisodeBlock
-from dune_rl.evaluation.protocols.run_rows import describe_runs, run_rows
+from dune_rl.evaluation.protocols.report import describe_runs, run_rows
 from dune_rl.evaluation.running import BlockRunner
 from dune_rl.statistics.measures import estimate_metrics
 

@@ -1,13 +1,12 @@
 """Attempts at goals as the log of the paper's published code has them, and its best sliding window."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
 from dune_rl.env.simulation import VectorSimulation
-from dune_rl.geometry.arrays import Array, Flags
+from dune_rl.geometry.arrays import Array
 
 REACHED, FAILED, CUT = "reached", "failed", "cut"
 _GOAL = "goal_reached"
@@ -118,56 +117,27 @@ def best_window_rate(
     """
     if not attempts:
         return float("nan")
-    columns = _Columns.of(attempts)
+    begin_s, end_s = (np.array([getattr(one, name) for one in attempts]) for name in ("begin_s", "end_s"))
+    late_s = np.array([np.inf if one.late_collision_s is None else one.late_collision_s for one in attempts])
+    outcomes, lasted = np.array([one.outcome for one in attempts]), end_s - begin_s
+    successes = (outcomes == REACHED) & (lasted > _LEAST_REACHED_S)
+    failures = (outcomes == FAILED) & (lasted > _LEAST_FAILED_S)
+    # A failure is noticed when the next attempt begins.
+    failures[-1] = False
+
+    def success_rate(start_s: float) -> float:
+        """The rate of the attempts that begin within a window; 0 where none counts."""
+        last_s = start_s + window_s
+        inside = (begin_s >= start_s) & (begin_s <= last_s)
+        if not inside.any():
+            return 0.0
+        reached = inside & (end_s <= last_s) & successes
+        counted = reached | (inside & (end_s <= last_s) & failures)
+        last = np.flatnonzero(inside)[-1]
+        counted[last] |= late_s[last] <= last_s
+        return float(reached.sum() / counted.sum()) if counted.any() else 0.0
+
     latest_s = attempts[-1].end_s - (window_s if whole else 0.0)
     begins = [index * WINDOW_STEP_S for index in range(WINDOWS) if index * WINDOW_STEP_S <= latest_s]
     # A log that is shorter than a window is one.
-    return max(columns.success_rate(begin, begin + window_s) for begin in begins or [0.0])
-
-
-@dataclass(frozen=True)
-class _Columns:
-    begin_s: Array
-    end_s: Array
-    reached: Flags
-    failed: Flags
-    late_s: Array
-
-    @classmethod
-    def of(cls, attempts: Sequence[Attempt]) -> "_Columns":
-        late = [np.inf if one.late_collision_s is None else one.late_collision_s for one in attempts]
-        outcomes = np.array([one.outcome for one in attempts])
-        failed = outcomes == FAILED
-        # A failure is noticed when the next attempt begins.
-        failed[-1] = False
-        return cls(
-            np.array([one.begin_s for one in attempts]),
-            np.array([one.end_s for one in attempts]),
-            outcomes == REACHED,
-            failed,
-            np.array(late, float),
-        )
-
-    def success_rate(self, begin_s: float, end_s: float) -> float:
-        """The rate of the attempts that begin between two times [s]; 0 where none counts."""
-        inside = (self.begin_s >= begin_s) & (self.begin_s <= end_s)
-        if not inside.any():
-            return 0.0
-        over = inside & (self.end_s <= end_s)
-        lasted = self.end_s - self.begin_s
-        successes = over & self.reached & (lasted > _LEAST_REACHED_S)
-        counted = successes | (over & self.failed & (lasted > _LEAST_FAILED_S))
-        last = np.flatnonzero(inside)[-1]
-        counted[last] |= self.late_s[last] <= end_s
-        return float(successes.sum() / counted.sum()) if counted.any() else 0.0
-
-
-def plain_attempts(attempts: Sequence[Attempt]) -> list[dict[str, Any]]:
-    """Attempts as rows of a table."""
-    return [{"attempt": number, **asdict(one)} for number, one in enumerate(attempts, 1)]
-
-
-def attempts_of_rows(rows: Sequence[dict[str, Any]]) -> list[Attempt]:
-    """What `plain_attempts` made plain."""
-    names = ("begin_s", "end_s", "outcome", "late_collision_s")
-    return [Attempt(**{name: row[name] for name in names}) for row in rows]
+    return max(map(success_rate, begins or [0.0]))
