@@ -60,7 +60,7 @@ def _cameras(worlds: BatchedWorlds, meshes: Sequence[MovingMesh], conf: CameraCo
     def camera(look: WorldAppearance) -> Camera:
         return Camera(conf, bake_in_weather(look.world, look.weather), meshes, look.media)
 
-    return Cameras(conf, worlds.appearances.map(camera))
+    return Cameras(worlds.appearances.map(camera))
 
 
 def _beam_air(worlds: BatchedWorlds, weather: WeatherConf, worlds_differ: bool) -> BeamMedia:

@@ -24,7 +24,7 @@ from dune_rl.learning.group_policy import Policy
 from dune_rl.learning.policies import built_in_policy
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.saved_policies import describe_selection, load_policy
-from dune_rl.sensors.draws import uniform
+from dune_rl.sensors.draws import draw, uniform
 
 Act = Callable[[dict[str, NDArray[Any]]], NDArray[np.floating]]
 Kind = Literal["checkpoint", "built-in", "onnx", "callable"]
@@ -112,10 +112,7 @@ class RandomByEpisode:
         for name, spec in self._specs.items():
             group = self._simulation.state.groups[name]
             # Of the episodes that the observation is of: those of done scenes have been reset already.
-            episode = group.episode
-            draws = uniform(
-                episode.seed, f"policy random {name}", episode.streams, episode.steps, spec.action_size
-            )
+            draws = draw(uniform, group.episode, f"policy random {name}", spec.action_size)
             low, high = np.asarray(spec.low, np.float32), np.asarray(spec.high, np.float32)
             actions = (low + draws * (high - low)).reshape(-1, group.count, spec.action_size)
             observation.set((name, "action"), torch.from_numpy(actions))

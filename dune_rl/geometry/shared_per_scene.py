@@ -159,8 +159,10 @@ class BatchedQueries(Generic[T]):
         by_scene = [array.reshape(count, len(array) // count, *array.shape[1:]) for array in arrays]
         joined: list[NDArray[Any]] = []
         for item, rows in groups:
-            found = query(item, *(array[rows].reshape(-1, *array.shape[2:]) for array in by_scene))
             assert not isinstance(rows, slice)
+            # Sizes are given, since there may be no columns.
+            own = (array[rows].reshape(len(rows) * array.shape[1], *array.shape[2:]) for array in by_scene)
+            found = query(item, *own)
             joined = joined or [np.empty((count, len(p) // len(rows), *p.shape[1:]), p.dtype) for p in found]
             for whole, part in zip(joined, found, strict=True):
                 whole[rows] = part.reshape(len(rows), *whole.shape[1:])

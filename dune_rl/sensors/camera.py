@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from dune_rl.geometry.arrays import Array, Floats
-from dune_rl.geometry.shared_per_scene import DerivedCache, SharedPerScene
+from dune_rl.geometry.shared_per_scene import BatchedQueries
 from dune_rl.rendering.baked_scenery import BakedScenery
 from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.rendering.participating_media import ParticipatingMedia
@@ -76,9 +76,7 @@ class Camera:
         meshes: Sequence[MovingMesh],
         air: ParticipatingMedia = _CLEAR,
     ) -> None:
-        self.conf = conf
-        self._air = air
-        self._baked = baked
+        self.conf, self._air, self._baked = conf, air, baked
         self._meshes = columns_by_mesh(meshes)
         lens = Lens(conf)
         pitch = np.deg2rad(conf.pitch_deg or 0.0)
@@ -92,10 +90,6 @@ class Camera:
         # Whatever lies within this angle of the axis may be in the picture.
         self._half_angle = float(np.arccos(np.clip(self._directions[:, 0].min(), -1.0, 1.0)))
         self._coloured = bool({"rgb", "grey"} & set(conf.outputs))
-        self._tables()
-
-    def _tables(self) -> None:
-        baked = self._baked
         rows, columns = baked.ground.shape[:2]
         xmin, xmax, ymin, ymax = baked.terrain.extent
         self._corner = np.array([xmin, ymin])
@@ -146,28 +140,22 @@ class Camera:
         if not self._air.clear:
             self._look_through_air(origin, directions32, ranges, colour, segments)
         found: dict[str, NDArray[Any]] = {}
-        size = (scenes, self.conf.height, self.conf.width)
-        for name in outputs:
-            if name == "rgb":
-                assert colour is not None
-                picture = np.empty((len(colour), 3), np.uint8)
-                unpack_colours(colour, picture)
-                found[name] = picture.reshape(*size, 3)
-            elif name == "grey":
-                assert colour is not None
-                found[name] = _grey(colour).reshape(*size, 1)
-            elif name == "segmentation":
-                assert segments is not None
-                found[name] = segments.reshape(*size, 1)
-            elif name == "depth":
-                depth = np.empty((scenes, pixels), np.float32)
-                farthest = np.float32(self.conf.range_m)
-                depths_along_axis(ranges.reshape(scenes, pixels), self._cosines, farthest, depth)
-                found[name] = depth.reshape(*size, 1)
-            else:
-                assert normal is not None
-                found[name] = self._seen_normals(normal, directions, rotation).reshape(*size, 3)
-        return found
+        if colour is not None:
+            if "rgb" in outputs:
+                found["rgb"] = np.empty((len(colour), 3), np.uint8)
+                unpack_colours(colour, found["rgb"])
+            if "grey" in outputs:
+                found["grey"] = _grey(colour)
+        if segments is not None:
+            found["segmentation"] = segments
+        if "depth" in outputs:
+            found["depth"] = np.empty((scenes, pixels), np.float32)
+            farthest = np.float32(self.conf.range_m)
+            depths_along_axis(ranges.reshape(scenes, pixels), self._cosines, farthest, found["depth"])
+        if normal is not None:
+            found["normals"] = self._seen_normals(normal, directions, rotation)
+        size = (scenes, self.conf.height, self.conf.width, -1)
+        return {name: found[name].reshape(size) for name in outputs}
 
     def _colours(
         self, origin: Array, directions: Floats, ranges: Floats, face: NDArray[np.int32]
@@ -179,27 +167,16 @@ class Camera:
             directions, ranges, face, start, self._texels, self._last_texel, self._baked.ground.shape[1],
             self._ground, self._baked.ground_faces, self._faces, self._sky, colour,
         )  # fmt: skip
-        if self._baked.texture is not None:
-            self._put_pictures(colour, origin, directions, ranges, face)
-        return colour
-
-    def _put_pictures(
-        self,
-        colour: NDArray[np.uint32],
-        origin: Array,
-        directions: Floats,
-        ranges: Floats,
-        face: NDArray[np.int32],
-    ) -> None:
-        """Put the pictures on things into `colour` (M * P,), which changes in place."""
+        if self._baked.texture is None:
+            return colour
+        # The pictures on things.
         ray = np.flatnonzero(self._pictured.take(face, mode="wrap"))
-        if not len(ray):
-            return
-        scene = ray // len(self._directions_b)
-        along = ranges[ray]
-        points = origin[scene].astype(np.float32) + directions[ray] * along[:, None]
-        own = face[ray] - self._baked.ground_faces
-        colour[ray] = _packed(self._baked.textured_colours(own, points, along * self._pixel_rad))
+        if len(ray):
+            along, scene = ranges[ray], ray // len(self._directions_b)
+            points = origin[scene].astype(np.float32) + directions[ray] * along[:, None]
+            own = face[ray] - self._baked.ground_faces
+            colour[ray] = _packed(self._baked.textured_colours(own, points, along * self._pixel_rad))
+        return colour
 
     def _draw_meshes(
         self,
@@ -236,10 +213,8 @@ class Camera:
         segments: NDArray[np.uint8] | None,
     ) -> None:
         """Put haze and grass before what rays `directions` (M * P, 3) have met; arguments change in place."""
-        foliage = self._air.foliage
-        veil = (
-            None if foliage is None else foliage.transmission(origin.astype(np.float32), directions, ranges)
-        )
+        foliage, start = self._air.foliage, origin.astype(np.float32)
+        veil = None if foliage is None else foliage.transmission(start, directions, ranges)
         if colour is not None:
             nothing = ranges >= self.conf.range_m
             bare = np.ascontiguousarray(colour.view(np.uint8).reshape(-1, 4)[:, :3])
@@ -259,39 +234,20 @@ class Camera:
         return seen
 
 
-class Cameras:
+class Cameras(BatchedQueries[Camera]):
     """A `Camera` for each of M scenes, all of the same settings, in worlds and lights of their own.
 
     Poses are those of N = M * G robots, scene after scene.
     """
 
-    def __init__(self, conf: CameraConf, cameras: SharedPerScene[Camera] | DerivedCache[Any, Camera]) -> None:
-        self.conf = conf
-        self._cameras = cameras
-
-    def __len__(self) -> int:
-        return len(self._cameras)
-
-    def select_scenes(self, scenes: NDArray[np.int64]) -> "Cameras":
-        """Those of some scenes (m,), counted from 0 in their order; a scene may occur several times."""
-        return Cameras(self.conf, SharedPerScene([self._cameras[scene] for scene in scenes.tolist()]))
-
     def frames(self, position_w: Array, rotation: Array, neighbours: Array) -> dict[str, NDArray[Any]]:
         """As `Camera.frames`."""
-        groups = self._cameras.groups
-        if len(groups) == 1:
-            return groups[0][0].frames(position_w, rotation, neighbours)
-        found: dict[str, NDArray[Any]] = {}
-        agents = len(position_w) // len(self._cameras)
-        for camera, scenes in groups:
-            # More than one group: `scenes` are indices.
-            rows = (np.asarray(scenes)[:, None] * agents + np.arange(agents)).ravel()
-            part = camera.frames(position_w[rows], rotation[rows], neighbours[rows])
-            for name, frames in part.items():
-                if name not in found:
-                    found[name] = np.empty((len(position_w), *frames.shape[1:]), frames.dtype)
-                found[name][rows] = frames
-        return found
+
+        def frames(camera: Camera, *poses: Array) -> tuple[NDArray[Any], ...]:
+            return tuple(camera.frames(*poses).values())
+
+        outputs = self._items[0].conf.outputs
+        return dict(zip(outputs, self._query(frames, position_w, rotation, neighbours), strict=True))
 
 
 def _packed(colours: NDArray[np.uint8]) -> NDArray[np.uint32]:

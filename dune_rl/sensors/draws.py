@@ -1,5 +1,6 @@
 """Random numbers that depend on nothing but where they are used: nothing is kept between two draws."""
 
+from collections.abc import Callable
 from functools import cache, lru_cache
 from hashlib import blake2b
 
@@ -8,8 +9,11 @@ import scipy
 from numpy.typing import NDArray
 
 from dune_rl.geometry.arrays import Counts, Floats
+from dune_rl.state.state import EpisodeState
 
 Words = NDArray[np.uint64]
+# Which agents: their rows, or all of them.
+Rows = NDArray[np.int64] | slice
 
 # The constants of SplitMix64 (Steele, Lea and Flood, "Fast splittable pseudorandom number generators", 2014).
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
@@ -43,6 +47,21 @@ def normal(seed: int, name: str, episodes: Counts, steps: Counts, entries: int) 
     quarters = _words(seed, name, episodes, steps, -(-entries // 4)).view(np.uint16)
     drawn: Floats = _quantiles().take(quarters[:, :entries])
     return drawn
+
+
+def draw(
+    numbers: Callable[[int, str, Counts, Counts, int], Floats],
+    episode: EpisodeState,
+    name: str,
+    entries: int,
+    rows: Rows = slice(None),
+    *,
+    once: bool = False,
+) -> Floats:
+    """`uniform` or `normal` numbers (n, entries) of agents in `rows`: anew each step, or once an episode."""
+    steps = episode.steps[rows]
+    steps = np.zeros_like(steps) if once else steps
+    return numbers(episode.seed, name, episode.streams[rows], steps, entries)
 
 
 def _words(seed: int, name: str, episodes: Counts, steps: Counts, count: int) -> Words:

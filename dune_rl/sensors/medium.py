@@ -9,7 +9,7 @@ from dune_rl.geometry.arrays import Floats
 from dune_rl.rendering.foliage import BatchedFoliage, Foliage
 from dune_rl.rendering.participating_media import BeamMedia, ParticipatingMedia, grass_albedo
 from dune_rl.rendering.scenery import Segment, luminance
-from dune_rl.sensors.draws import uniform
+from dune_rl.sensors.draws import draw, uniform
 from dune_rl.sensors.sensor import Mount, mount_position
 from dune_rl.state.state import GroupState
 
@@ -71,10 +71,9 @@ class InHaze:
 
     def applied(self, ranges: Floats, now: GroupState) -> Floats:
         """`ranges` (M, N) [m] in the haze."""
-        moment = (now.episode.streams, now.episode.steps, ranges.shape[1])
-        chance = uniform(now.episode.seed, f"{self._name} haze loss", *moment)
+        chance = draw(uniform, now.episode, f"{self._name} haze loss", ranges.shape[1])
         seen = np.where(chance < self.return_share(ranges), ranges, self._range_m)
-        chance = uniform(now.episode.seed, f"{self._name} backscatter", *moment)
+        chance = draw(uniform, now.episode, f"{self._name} backscatter", ranges.shape[1])
         photons = -np.log1p(-chance)
         false = np.nonzero(photons < self._photons[-1])
         place = np.interp(photons[false], self._photons, self._places).astype(np.float32)
@@ -116,9 +115,7 @@ class InGrass:
             return ranges
         origins = (now.motion.position_w + now.motion.rotation @ self._mount_b).astype(np.float32)
         directions = self._directions_b @ now.motion.rotation.transpose(0, 2, 1).astype(np.float32)
-        chance = uniform(
-            now.episode.seed, f"{self._name} grass", now.episode.streams, now.episode.steps, ranges.shape[1]
-        )
+        chance = draw(uniform, now.episode, f"{self._name} grass", ranges.shape[1])
         depths = -np.log1p(-chance)
         met = self._foliage.beam_ranges(origins, directions.reshape(-1, 3), ranges.ravel(), depths.ravel())
         return np.minimum(ranges, np.maximum(met.reshape(ranges.shape), self._min_range_m))

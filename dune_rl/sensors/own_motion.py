@@ -5,10 +5,10 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from dune_rl.geometry.arrays import Array, Flags, Floats
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import wrap_angle
 from dune_rl.sensors.context import SensorContext
-from dune_rl.sensors.draws import normal
+from dune_rl.sensors.draws import draw, normal
 from dune_rl.sensors.realism.noise import NoiseConf
 from dune_rl.sensors.realism.pipeline import (
     GoalRealismConf,
@@ -144,23 +144,22 @@ class Position(VectorSensor):
     def begin(self, mask: Flags, now: GroupState, state: State) -> None:
         """Start the episodes in `mask` (M,) with an error of their own."""
         if self._drifts:
-            self._drift = np.where(mask[:, None], self._spread * self._draws(now), self._drift)
+            self._drift = np.where(
+                mask[:, None], self._spread * draw(normal, now.episode, self._drift_name, 3), self._drift
+            )
         self._take(now)
 
     def measure(self, now: GroupState, state: State) -> None:
         """Take the present pose, with an error that has moved on."""
         if self._drifts:
-            self._drift = self._kept * self._drift + self._renewed * self._spread * self._draws(now)
+            self._drift = self._kept * self._drift + self._renewed * self._spread * draw(
+                normal, now.episode, self._drift_name, 3
+            )
         self._take(now)
 
     def _take(self, now: GroupState) -> None:
         position_w = now.motion.position_w + self._drift
         self._store(np.concatenate([position_w, now.motion.roll_pitch_yaw[:, 2:]], axis=1))
-
-    def _draws(self, now: GroupState) -> Floats:
-        """Standard normal numbers (N, 3) of the present steps of the episodes."""
-        episode = now.episode
-        return normal(episode.seed, self._drift_name, episode.streams, episode.steps, 3)
 
 
 class GoalConf(SensorSettings):

@@ -130,7 +130,7 @@ def sensor_of(scenes: int) -> CameraSensor:
 
 def camera_sensor(camera: Camera, scenes: int) -> CameraSensor:
     """One agent with this camera in each of some scenes."""
-    cameras = Cameras(camera.conf, SharedPerScene([camera] * scenes))
+    cameras = Cameras(SharedPerScene([camera] * scenes))
     return CameraSensor("camera", context_of(scenes, make_cameras=lambda _: cameras), camera.conf)
 
 

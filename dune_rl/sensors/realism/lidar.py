@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 
 from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.rendering.scenery import Segment
-from dune_rl.sensors.draws import normal, uniform
+from dune_rl.sensors.draws import draw, normal, uniform
 from dune_rl.sensors.realism.pipeline import RealismConf
 from dune_rl.state.state import GroupState
 
@@ -74,13 +74,12 @@ class BeamFaults:
         conf = self._conf
         nearest, farthest = (np.float32(limit) for limit in self._limits_m)
         returned = ranges < farthest
-        moment = (now.episode.streams, now.episode.steps, ranges.shape[1])
         if conf.dropout > 0.0 or conf.half_return_m is not None:
-            chance = uniform(now.episode.seed, f"{self._name} return", *moment)
+            chance = draw(uniform, now.episode, f"{self._name} return", ranges.shape[1])
             returned &= chance < self._return_share(ranges, now)
         measured = ranges
         if conf.noise_m > 0.0 or conf.noise_share > 0.0:
-            noise = normal(now.episode.seed, f"{self._name} noise", *moment)
+            noise = draw(normal, now.episode, f"{self._name} noise", ranges.shape[1])
             noise *= np.float32(conf.noise_m) + np.float32(conf.noise_share) * ranges
             measured = ranges + noise
         if conf.quantum_m > 0.0:
@@ -100,10 +99,8 @@ class BeamFaults:
         if conf.half_return_m is None:
             return np.full_like(ranges, stays)
         low, high = conf.reflectance
-        first = np.zeros_like(now.episode.steps)
-        reflectance = low + (high - low) * uniform(
-            now.episode.seed, f"{self._name} reflectance", now.episode.streams, first, 1
-        )
+        drawn = draw(uniform, now.episode, f"{self._name} reflectance", 1, once=True)
+        reflectance = low + (high - low) * drawn
         near: Floats = np.reciprocal(np.maximum(ranges, np.float32(1e-3)))
         light = near * near * self._cos_slant(near)
         light *= (reflectance * conf.half_return_m**2).astype(np.float32)

@@ -3,18 +3,14 @@
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from dune_rl.core.settings import Settings
-from dune_rl.geometry.arrays import Array, Counts
+from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.frames import clip, wrap_angle
-from dune_rl.sensors.draws import normal
+from dune_rl.sensors.draws import Rows, draw, normal
 from dune_rl.sensors.sensor import Bounds, Reading
 from dune_rl.state.state import GroupState
-
-# Which scenes: their numbers, or all of them.
-Rows = NDArray[np.int64] | slice
 
 # Highest Allan deviation of a first-order Gauss-Markov process over its own deviation, at 1.89
 # correlation times: IEEE Std 952-1997, annex C.
@@ -90,10 +86,7 @@ class Faults:
 
     def begin(self, rows: Rows, now: GroupState) -> None:
         """Draw the biases of the episodes in `rows`."""
-        never: Counts = np.zeros_like(now.episode.steps[rows])
-        drawn = normal(
-            now.episode.seed, f"{self._name} bias", now.episode.streams[rows], never, 2 * self._entries
-        )
+        drawn = draw(normal, now.episode, f"{self._name} bias", 2 * self._entries, rows, once=True)
         self._bias[rows] = drawn[:, : self._entries] * self._bias_size
         self._wander[rows] = drawn[:, self._entries :] * self._wander_size
 
@@ -102,8 +95,7 @@ class Faults:
         if not self._drifts:
             return
         entries = self._entries
-        moment = now.episode.streams[rows], now.episode.steps[rows]
-        drawn = normal(now.episode.seed, f"{self._name} drift", *moment, 2 * entries)
+        drawn = draw(normal, now.episode, f"{self._name} drift", 2 * entries, rows)
         self._bias[rows] += drawn[:, :entries] * self._walk
         self._wander[rows] = self._wander[rows] * self._kept + drawn[:, entries:] * self._stirred
 
@@ -115,8 +107,7 @@ class Faults:
         """The true `reading` with biases and noise, (len(rows), entries), before steps between values."""
         value: Array = reading.reshape(len(reading), -1) + (self._bias[rows] + self._wander[rows])
         if self._noise.any():
-            place = now.episode.streams[rows], now.episode.steps[rows], self._entries
-            value += normal(now.episode.seed, f"{self._name} noise", *place) * self._noise
+            value += draw(normal, now.episode, f"{self._name} noise", self._entries, rows) * self._noise
         return value
 
     def limited(self, value: Array) -> Reading:

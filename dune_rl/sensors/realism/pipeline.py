@@ -8,7 +8,8 @@ from pydantic import Field, model_validator
 
 from dune_rl.core.settings import Settings
 from dune_rl.geometry.arrays import Flags
-from dune_rl.sensors.realism.noise import AngleNoiseConf, Faults, ImuFaults, NoiseConf, Rows
+from dune_rl.sensors.draws import Rows
+from dune_rl.sensors.realism.noise import AngleNoiseConf, Faults, ImuFaults, NoiseConf
 from dune_rl.sensors.realism.presets import PartKind, find_part
 from dune_rl.sensors.sensor import Bounds, Reading, Sensor
 from dune_rl.state.state import GroupState, State
