@@ -5,6 +5,7 @@ import platform
 import shutil
 import subprocess
 import sys
+from contextlib import suppress
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -13,7 +14,6 @@ from typing import Any
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.paths import package_folder
 from dune_rl.evaluation.episode_sets.apply import sites_of_training
-from dune_rl.evaluation.policies import PolicySource
 from dune_rl.evaluation.running import EvaluationPlan
 from dune_rl.learning.checkpoint import read_policy_file
 
@@ -26,42 +26,34 @@ _GIT_S = 10.0
 
 def describe_provenance(plan: EvaluationPlan) -> dict[str, Any]:
     """Plain data on everything that determines the results of `plan`, or may change them."""
-    used = plan.episode_set
+    used, conf = plan.episode_set, plan.conf
+    extent: dict[str, Any] = {"episodes": plan.episodes}
+    if conf.protocol is not None:
+        extent = {"protocol": conf.protocol, "runs": conf.runs, "run_steps": conf.run_steps}
+    policies = []
+    for source in plan.sources:
+        # World seeds of the set that were sites of a checkpoint's training too.
+        sites = []
+        if used is not None and source.kind == "checkpoint" and source.file is not None:
+            sites = sites_of_training(read_policy_file(source.file)[1]["config"], used)
+        policies.append(source.plain() | {"sites_of_training": sites})
     return {
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": ["python", "-m", "dune_rl.evaluate", *sys.argv[1:]],
         "set": None if used is None else {"name": used.name, "sha256": used.header.sha256},
-        "world": plan.conf.world.name,
-        "engine": plan.conf.physics.backend,
-        "seed": plan.conf.seed,
-        **_extent(plan),
+        "world": conf.world.name,
+        "engine": conf.physics.backend,
+        "seed": conf.seed,
+        **extent,
         "scenes": plan.scenes,
-        "processes": plan.conf.processes,
-        "policies": [
-            source.plain() | {"sites_of_training": sites_of_training_of(source, plan)}
-            for source in plan.sources
-        ],
+        "processes": conf.processes,
+        "policies": policies,
         "git": git_commit(),
         "packages": package_versions(),
         "python": platform.python_version(),
         "platform": platform.platform(),
         "hardware": {"processor": processor_name(), "cores": os.cpu_count(), "memory_gib": memory_gib()},
     }
-
-
-def sites_of_training_of(source: PolicySource, plan: EvaluationPlan) -> list[int]:
-    """World seeds of the plan's set that were sites of a checkpoint's training too."""
-    if plan.episode_set is None or source.kind != "checkpoint" or source.file is None:
-        return []
-    config = read_policy_file(source.file)[1]["config"]
-    return sites_of_training(config, plan.episode_set)
-
-
-def _extent(plan: EvaluationPlan) -> dict[str, Any]:
-    conf = plan.conf
-    if conf.protocol is None:
-        return {"episodes": plan.episodes}
-    return {"protocol": conf.protocol, "runs": conf.runs, "run_steps": conf.run_steps}
 
 
 def check_same_sources(plan: EvaluationPlan, provenance: dict[str, Any], path: Path) -> None:
@@ -89,10 +81,8 @@ def package_versions() -> dict[str, str]:
     """Versions of the installed packages that results depend on."""
     found = {}
     for name in _PACKAGES:
-        try:
+        with suppress(PackageNotFoundError):
             found[name] = version(name)
-        except PackageNotFoundError:
-            continue
     return found
 
 
@@ -114,22 +104,18 @@ def git_commit() -> dict[str, Any] | None:
     # An installed package may lie in a checkout of something else.
     if ask("ls-files", "--error-unmatch", "__init__.py") is None:
         return None
-    commit = ask("rev-parse", "HEAD")
-    if commit is None:
-        return None
-    return {"commit": commit, "changed": bool(ask("status", "--porcelain", "--untracked-files=no"))}
+    commit, changed = ask("rev-parse", "HEAD"), ask("status", "--porcelain", "--untracked-files=no")
+    return None if commit is None else {"commit": commit, "changed": bool(changed)}
 
 
 def processor_name() -> str:
     """Name of the processor."""
     try:
-        with open("/proc/cpuinfo", encoding="utf-8") as file:
-            for line in file:
-                if line.startswith("model name"):
-                    return line.partition(":")[2].strip()
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
-        pass
-    return platform.processor() or platform.machine()
+        lines = []
+    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(names, platform.processor() or platform.machine())
 
 
 def memory_gib() -> float | None:

@@ -40,13 +40,9 @@ class CameraConf(LensConf, SensorSettings):
 
     sensor: Literal["camera"] = "camera"
     realism: CameraRealismConf | None = None
-    outputs: tuple[Output, ...] = Field(
-        ("rgb",), min_length=1, description="of rgb, grey, depth, segmentation and normals"
-    )
+    outputs: tuple[Output, ...] = Field(("rgb",), min_length=1, description="kinds of pictures")
     mount_b: Mount = MOUNT
-    pitch_deg: float | None = Field(
-        None, ge=-90.0, le=90.0, description="downward tilt [deg]; null: the robot's own"
-    )
+    pitch_deg: float | None = Field(None, ge=-90.0, le=90.0, description="downward [deg]; null: the robot's")
     range_m: float = Field(100.0, gt=0.0, le=10_000.0, description="how far it sees [m]")
 
     @model_validator(mode="after")

@@ -35,21 +35,12 @@ class HeightScanConf(SensorSettings):
     rows: int = Field(11, ge=1, le=256, description="points ahead")
     columns: int = Field(11, ge=1, le=256, description="points across")
     spacing_m: float = Field(0.2, gt=0.0, le=10.0, description="between neighbouring points [m]")
-    ahead_m: float = Field(
-        0.4, ge=-100.0, le=100.0, description="of the first row, from the robot's origin [m]"
-    )
+    ahead_m: float = Field(0.4, ge=-100.0, le=100.0, description="of the first row, from the robot [m]")
     limit_m: float = Field(1.0, gt=0.0, le=100.0, description="readings are clipped to this either way [m]")
-    source: Literal["terrain", "solid"] = Field(
-        "solid", description="what is scanned: all that is solid, or the bare terrain"
-    )
-    above_m: float = Field(
-        1.0, gt=0.0, le=100.0, description="what is wholly higher than this is overhead and not seen [m]"
-    )
+    source: Literal["terrain", "solid"] = Field("solid", description="all that is solid, or bare terrain")
+    above_m: float = Field(1.0, gt=0.0, le=100.0, description="what is wholly higher is not seen [m]")
     standing_height_m: float | None = Field(
-        None,
-        ge=0.0,
-        le=10.0,
-        description="of the robot's origin over level ground [m]; null: the robot's own",
+        None, ge=0.0, le=10.0, description="of the robot's origin over level ground [m]; null: its own"
     )
 
     @model_validator(mode="after")

@@ -24,10 +24,8 @@ class ImuConf(SensorSettings):
 
     sensor: Literal["imu"] = "imu"
     realism: ImuRealismConf | None = None
-    acceleration_range_mps2: float = Field(
-        156.9, gt=GRAVITY_MPS2, description="readings are clipped to this [m/s²]"
-    )
-    angular_range_radps: float = Field(34.9, gt=0.0, description="readings are clipped to this [rad/s]")
+    acceleration_range_mps2: float = Field(156.9, gt=GRAVITY_MPS2, description="clips readings [m/s²]")
+    angular_range_radps: float = Field(34.9, gt=0.0, description="clips readings [rad/s]")
     mount_b: Mount = MOUNT
 
 
@@ -46,12 +44,9 @@ class Imu:
 
     def begin(self, mask: Flags, rotation: Array, velocity_w: Array, angular_w: Array) -> None:
         """Start from the present motion, unaccelerated, in the scenes in `mask` (M,)."""
-        velocity = self._mount_velocity(rotation, velocity_w, angular_w)
+        velocity = velocity_w + cross(angular_w, rotation @ self._mount)
         self._previous_velocity = np.where(mask[:, None], velocity, self._previous_velocity)
         self.acceleration_b = np.where(mask[:, None], 0.0, self.acceleration_b)
-
-    def _mount_velocity(self, rotation: Array, velocity_w: Array, angular_w: Array) -> Array:
-        return velocity_w + cross(angular_w, rotation @ self._mount)
 
     def measure(self, rotation: Array, velocity_w: Array, angular_w: Array, step_s: float) -> Array:
         """Acceleration without gravity in the body frame [m/s²], (M, 3), over the last `step_s`.

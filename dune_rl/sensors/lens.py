@@ -28,12 +28,8 @@ class LensConf(Settings):
 
     width: int = Field(64, ge=1, le=8192, description="[px]")
     height: int = Field(64, ge=1, le=8192, description="[px]")
-    projection: Literal["pinhole", "fisheye"] = Field(
-        "pinhole", description="pinhole, or fisheye (equidistant)"
-    )
-    fov_deg: float = Field(
-        60.0, ge=0.5, le=180.0, description="angle between the left and the right edge of the picture [deg]"
-    )
+    projection: Literal["pinhole", "fisheye"] = Field("pinhole", description="or fisheye (equidistant)")
+    fov_deg: float = Field(60.0, ge=0.5, le=180.0, description="angle from the left to the right edge [deg]")
     distortion: tuple[float, ...] = Field(
         (), max_length=5, description="OpenCV's k1, k2, p1, p2, k3 of a pinhole, k1 to k4 of a fisheye"
     )

@@ -44,9 +44,7 @@ class Lidar3dConf(ScannerConf):
     lowest_elevation_deg: Elevation = Field(-15.0, description="of the lowest ring [deg]")
     highest_elevation_deg: Elevation = Field(15.0, description="of the highest [deg]")
     half_intensity_m: float = Field(10.0, gt=0.0, le=1_000.0, description="of half the brightness [m]")
-    outputs: tuple[Lidar3dOutput, ...] = Field(
-        ("range",), min_length=1, description="of range, intensity and segmentation"
-    )
+    outputs: tuple[Lidar3dOutput, ...] = Field(("range",), min_length=1, description="kinds of readings")
 
     @model_validator(mode="after")
     def _sound(self) -> Self:

@@ -30,9 +30,7 @@ class EncodersConf(SensorSettings):
     sensor: Literal["encoders"] = "encoders"
     realism: EncoderRealismConf | None = None
     counts_per_turn: int = Field(1152, ge=0, le=10_000_000, description="counts in a turn; 0: no steps")
-    max_speed_radps: float = Field(
-        100.0, gt=0.0, le=10_000.0, description="readings are clipped to this [rad/s]; odometry counts alike"
-    )
+    max_speed_radps: float = Field(100.0, gt=0.0, le=10_000.0, description="limit of readings [rad/s]")
 
 
 class WheelCounter:
@@ -97,9 +95,7 @@ class OdometryConf(SensorSettings):
 
     sensor: Literal["odometry"] = "odometry"
     realism: OdometryRealismConf | None = None
-    range_m: float = Field(
-        100.0, gt=0.0, le=1_000_000.0, description="x and y since the start are clipped to this [m]"
-    )
+    range_m: float = Field(100.0, gt=0.0, le=1_000_000.0, description="limit of x and y [m]")
 
 
 @dataclass(frozen=True)

@@ -15,12 +15,8 @@ class PresenceConf(Settings):
     Both times are drawn for each agent and episode, uniformly between the two bounds.
     """
 
-    arrive_s: tuple[float, float] = Field(
-        (0.0, 0.0), description="earliest and latest arrival after the start of the episode [s]"
-    )
-    stay_s: tuple[float, float] | None = Field(
-        None, description="shortest and longest stay [s]; null: to the end of the episode"
-    )
+    arrive_s: tuple[float, float] = Field((0.0, 0.0), description="earliest and latest arrival [s]")
+    stay_s: tuple[float, float] | None = Field(None, description="shortest and longest [s]; null: to the end")
 
     @model_validator(mode="after")
     def _are_ranges(self) -> Self:
