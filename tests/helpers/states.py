@@ -70,11 +70,11 @@ def joints_from(drive: np.ndarray) -> JointState:
     return JointState(*np.split(np.atleast_2d(drive), 3, axis=1))
 
 
-def resting(count: int) -> Motion:
+def resting(count: int, joints: JointState | None = None) -> Motion:
     """Bodies that stand still at the world's origin."""
     states = np.zeros((count, 13))
     states[:, 6] = 1.0
-    return motion_of(states)
+    return motion_of(states, joints)
 
 
 def group_state(

@@ -42,9 +42,7 @@ def wheels_state(
     wheels = JointState(
         angle, *(np.broadcast_to(np.asarray(each, float), angle.shape) for each in (speed, torque))
     )
-    motion = resting(len(angle))
-    motion.joints = wheels
-    return group_state(motion, steps=step)
+    return group_state(resting(len(angle), wheels), steps=step)
 
 
 def reading(sensor: Sensor, row: int = 0) -> np.ndarray:
