@@ -4,8 +4,10 @@ import io
 import os
 import stat
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 from xml.etree.ElementTree import Element, ParseError
 from xml.etree.ElementTree import TreeBuilder as _TreeBuilder
 
@@ -252,12 +254,21 @@ def downscale_image(image: Image.Image) -> Bytes:
         raise ValueError(f"it is no picture that can be read ({first_line(error)})") from None
 
 
-def raise_unreadable(name: str, kind: str, error: BaseException) -> NoReturn:
-    """Raise the `WorldError` for a file that a library could not read."""
-    raise WorldError(
-        f"{name} is no {kind} that can be read ({type(error).__name__}: {first_line(error)}): "
-        "open it in a program that shows it, and export it again."
-    ) from None
+@contextmanager
+def reading(name: str, kind: str) -> Iterator[None]:
+    """A context in which libraries read a file without warnings; what they raise becomes a `WorldError`."""
+    try:
+        # Warnings include those of numpy about invalid numbers, which are checked later.
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            yield
+    except WorldError:
+        raise
+    except Exception as error:
+        raise WorldError(
+            f"{name} is no {kind} that can be read ({type(error).__name__}: {first_line(error)}): "
+            "open it in a program that shows it, and export it again."
+        ) from None
 
 
 def first_line(error: BaseException | str) -> str:

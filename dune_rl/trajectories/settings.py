@@ -19,7 +19,7 @@ from dune_rl.trajectories.files import WALKING_ACTOR, WALKING_ACTOR_HIP_M, Appea
 from dune_rl.trajectories.plan import SPACING_M, Mode, plan_on_ground
 from dune_rl.worlds.actor_trajectory import ActorTrajectory
 from dune_rl.worlds.importing.actor_files import FORMATS
-from dune_rl.worlds.importing.height_files import FORMATS as HEIGHT_MAPS
+from dune_rl.worlds.importing.grid_files import HEIGHT_FORMATS as HEIGHT_MAPS
 from dune_rl.worlds.registry import WORLDS
 from dune_rl.worlds.walkable_points import TerrainLimits
 from dune_rl.worlds.world import World

@@ -1,8 +1,5 @@
 """Registry of worlds: built-in ones, those of installed packages, and those registered at run time."""
 
-import json
-from typing import Any
-
 from dune_rl.core.errors import WorldError
 from dune_rl.core.registry import Registry
 from dune_rl.core.untrusted_files import WorldWarning
@@ -37,13 +34,3 @@ def build_uncached(conf: WorldSettings) -> World:
     if not WORLDS.part_of(conf).is_own:
         check_world(world)
     return world
-
-
-def parse_built_in_settings(values: dict[str, Any]) -> WorldSettings:
-    """Settings of a built-in world from JSON data; raises `ValueError` if they are invalid."""
-    name = values.get("name")
-    if name not in WORLDS.own:
-        raise ValueError(f"not a built-in world: {name!r}")
-    settings: type[WorldSettings] | None = WORLDS.settings_class(name)
-    assert settings is not None
-    return settings.model_validate_json(json.dumps(values))

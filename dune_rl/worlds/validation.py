@@ -6,7 +6,12 @@ import numpy as np
 
 from dune_rl.core.errors import WorldError
 from dune_rl.core.untrusted_files import WorldWarning
-from dune_rl.worlds.importing.topology import label_face_components, open_edges, weld_vertices
+from dune_rl.worlds.importing.topology import (
+    label_face_components,
+    open_edges,
+    renumber_welded,
+    signed_volumes,
+)
 from dune_rl.worlds.world import Prop, World
 
 
@@ -19,8 +24,7 @@ def check_world(world: World) -> None:
     faults = [*_world_faults(world), *(fault for prop in world.props for fault in _prop_faults(prop))]
     if faults:
         raise WorldError("\n".join(f"the world {world.name!r}: {fault}" for fault in faults))
-    for prop in world.props:
-        leak = _describe_leak(prop) if prop.solid else None
+    for leak in (_describe_leak(prop) for prop in world.props if prop.solid):
         if leak is not None:
             warnings.warn(f"the world {world.name!r}: {leak}", WorldWarning, stacklevel=2)
 
@@ -31,9 +35,8 @@ def _world_faults(world: World) -> list[str]:
     if region.shape != (4,) or not (region[0] < region[1] and region[2] < region[3]):
         faults.append(f"region must be (xmin, xmax, ymin, ymax) with min < max, not {world.region}")
     elif (region[[0, 2]] < extent[[0, 2]]).any() or (region[[1, 3]] > extent[[1, 3]]).any():
-        faults.append(
-            f"region {_rectangle(region)} reaches outside the terrain, which covers {_rectangle(extent)}"
-        )
+        inner, outer = ("({:g}, {:g}, {:g}, {:g})".format(*sides) for sides in (region, extent))
+        faults.append(f"region {inner} reaches outside the terrain, which covers {outer}")
     if not 0.0 < world.friction <= 5.0:
         faults.append(f"friction must be above 0 and at most 5, not {world.friction}")
     return faults
@@ -65,25 +68,17 @@ def _prop_faults(prop: Prop) -> list[str]:
 
 
 def _describe_leak(prop: Prop) -> str | None:
-    ids = weld_vertices(prop.vertices, prop.faces)
-    _, index, ids = np.unique(ids, return_index=True, return_inverse=True)
-    ids = ids.reshape(-1, 3)
+    ids, index = renumber_welded(prop.vertices, prop.faces)
     gaps = len(open_edges(ids)[0])
     if gaps:
         return (
             f"the solid prop {prop.name!r} is not closed ({gaps} edges have one face only), so rays and "
             "wheels may pass through it: close its mesh, or set solid=False"
         )
-    points = prop.vertices[prop.faces.reshape(-1)[index]]
-    a, b, c = np.moveaxis(points[ids] - points.mean(axis=0), 1, 0)
-    volumes = np.bincount(label_face_components(ids), np.einsum("ij,ij->i", a, np.cross(b, c)))
-    if (volumes < 0).any():
+    volumes = signed_volumes(prop.vertices[index], ids)
+    if (np.bincount(label_face_components(ids), volumes) < 0).any():
         return (
             f"the solid prop {prop.name!r} is inside out: its faces must run counter-clockwise seen from "
             "outside, so reverse them (faces[:, ::-1])"
         )
     return None
-
-
-def _rectangle(sides: np.ndarray) -> str:
-    return "({:g}, {:g}, {:g}, {:g})".format(*sides)

@@ -35,9 +35,10 @@ def test_textures_colour_ground_and_things(tmp_path):
     assert crate.colour == pytest.approx((20 / 255, 20 / 255, 200 / 255), abs=0.01)
     assert bench.colour == pytest.approx((200 / 255, 20 / 255, 20 / 255), abs=0.01)
     assert crate.face_colours.shape == (len(crate.faces), 3)
-    columns = world.ground_colours.shape[1]
-    assert world.ground_colours[:, : columns // 2 - 8, 0].min() > 0.7
-    assert world.ground_colours[:, columns // 2 + 8 :, 2].min() > 0.7
+    colours = world.picture.colours
+    columns = colours.shape[1]
+    assert colours[:, : int(0.45 * columns), 0].min() > 0.7
+    assert colours[:, int(0.55 * columns) :, 2].min() > 0.7
     # The ground's one look is the mean of both.
     assert world.ground.low[0] == pytest.approx(world.ground.low[2], abs=0.02)
 
@@ -49,16 +50,16 @@ def test_textures_of_obj_and_glb_and_colours_of_vertices(tmp_path):
     (tmp_path / "q.obj").write_text(
         f"mtllib paint.mtl\no q\n{quad}usemtl paint\nf 1/1 2/2 3/3\nf 1/1 3/3 4/4\n"
     )
-    blue = build_mesh(MeshConf(path=str(tmp_path / "q.obj"))).ground_colours
+    blue = build_mesh(MeshConf(path=str(tmp_path / "q.obj"))).picture.colours
     np.testing.assert_allclose(blue.reshape(-1, 3).mean(axis=0), [20 / 255, 20 / 255, 200 / 255], atol=0.01)
     trimesh.load_scene(tmp_path / "q.obj", process=False).export(tmp_path / "q.glb")
-    up = build_mesh(MeshConf(path=str(tmp_path / "q.glb"), up="z")).ground_colours
+    up = build_mesh(MeshConf(path=str(tmp_path / "q.glb"), up="z")).picture.colours
     np.testing.assert_allclose(up.reshape(-1, 3).mean(axis=0), [20 / 255, 20 / 255, 200 / 255], atol=0.01)
     sheet = trimesh.Trimesh([[-5, -5, 0], [5, -5, 0], [5, 5, 0], [-5, 5, 0]], [[0, 1, 2], [0, 2, 3]])
     sheet.visual.vertex_colors = [51, 102, 153, 255]
     sheet.export(tmp_path / "c.ply")
-    own = build_mesh(MeshConf(path=str(tmp_path / "c.ply"))).ground_colours
-    np.testing.assert_allclose(own.reshape(-1, 3), np.tile([0.2, 0.4, 0.6], (own.size // 3, 1)), atol=0.01)
+    own = build_mesh(MeshConf(path=str(tmp_path / "c.ply"))).ground
+    np.testing.assert_allclose(np.mean([own.low, own.high], axis=0), [0.2, 0.4, 0.6], atol=0.01)
 
 
 @pytest.mark.slow(all_but=["obj-*"])

@@ -1,7 +1,6 @@
 """COLLADA (.dae) files as named parts, with their unit and up axis."""
 
 import io
-import warnings
 from collections.abc import Iterator
 from typing import Any
 
@@ -20,9 +19,9 @@ from dune_rl.core.untrusted_files import (
     WorldFiles,
     first_line,
     printable,
-    raise_unreadable,
     read_image,
     read_xml,
+    reading,
 )
 from dune_rl.geometry.arrays import Array
 from dune_rl.rendering.mesh_files.parts import MeshPart, mean_face_colours
@@ -41,22 +40,16 @@ def load_collada_parts(
     """
     # The library would expand entities and unpack archives; this check refuses both.
     read_xml(data, name)
-    try:
-        with warnings.catch_warnings(), np.errstate(all="ignore"):
-            warnings.simplefilter("ignore")
-            document = collada.Collada(
-                io.BytesIO(data), ignore=[collada.common.DaeError], aux_file_loader=_load_nothing
-            )
-            unit = document.assetInfo.unitmeter
-            axis = str(document.assetInfo.upaxis)[:1].lower()
-            if document.scene is None:
-                raise WorldError(f"{name} has no scene, so its meshes have no positions.")
-            reader = _Reader(name, folder, report)
-            parts = [part for node in document.scene.nodes for part in reader.parts(node, np.eye(4), "", 0)]
-    except WorldError:
-        raise
-    except Exception as error:
-        raise_unreadable(name, ".dae mesh", error)
+    with reading(name, ".dae mesh"):
+        document = collada.Collada(
+            io.BytesIO(data), ignore=[collada.common.DaeError], aux_file_loader=_load_nothing
+        )
+        unit = document.assetInfo.unitmeter
+        axis = str(document.assetInfo.upaxis)[:1].lower()
+        if document.scene is None:
+            raise WorldError(f"{name} has no scene, so its meshes have no positions.")
+        reader = _Reader(name, folder, report)
+        parts = [part for node in document.scene.nodes for part in reader.parts(node, np.eye(4), "", 0)]
     if document.errors:
         report.warn(
             f"{len(document.errors)} elements in it are not supported, "

@@ -4,7 +4,6 @@ import io
 import json
 import math
 import struct
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal
@@ -23,8 +22,8 @@ from dune_rl.core.untrusted_files import (
     first_line,
     open_image,
     printable,
-    raise_unreadable,
     read_bytes,
+    reading,
 )
 from dune_rl.geometry.arrays import Floats
 from dune_rl.rendering.mesh_files.collada import load_collada_parts
@@ -127,18 +126,10 @@ def _load_parts(
     options: dict[str, Any] = {"process": False}
     if kind == ".obj":
         options |= {"split_objects": True, "group_material": True}
-    try:
-        # Warnings include those of numpy about invalid numbers, which are checked later.
-        with warnings.catch_warnings(), np.errstate(all="ignore"):
-            warnings.simplefilter("ignore")
-            scene = trimesh.load_scene(
-                io.BytesIO(data), file_type=kind[1:], resolver=_FolderResolver(folder, report), **options
-            )
-            return list(_parts(scene, kind, report))
-    except WorldError:
-        raise
-    except Exception as error:
-        raise_unreadable(name, f"{kind} mesh", error)
+    with reading(name, f"{kind} mesh"):
+        resolver = _FolderResolver(folder, report)
+        scene = trimesh.load_scene(io.BytesIO(data), file_type=kind[1:], resolver=resolver, **options)
+        return list(_parts(scene, kind, report))
 
 
 def _parts(scene: Any, kind: str, report: ImportReport) -> Iterator[MeshPart]:

@@ -3,13 +3,14 @@
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dune_rl.core.untrusted_files import ImportReport
 from dune_rl.geometry.arrays import Array, Flags, Floats
-from dune_rl.rendering.mesh_texture import MeshTexture
+from dune_rl.rendering.mesh_texture import MeshTexture, join_textures
 
 GREY = (0.6, 0.6, 0.6)
 
@@ -97,6 +98,17 @@ class MeshPart:
         texture = None if self.texture is None else self.texture.transform(matrix)
         return replace(self, vertices=vertices, faces=faces, texture=texture)
 
+    def select_faces(self, faces: NDArray[Any]) -> "MeshPart":
+        """Some faces, given by indices or a mask, with the vertices that they use: others may be NaN, or far away."""
+        used, index = np.unique(self.faces[faces], return_inverse=True)
+        return replace(
+            self,
+            vertices=self.vertices[used],
+            faces=index.reshape(-1, 3).astype(np.int32),
+            colours=self.colours[faces],
+            texture=None if self.texture is None else self.texture.select_faces(faces),
+        )
+
     @property
     def words(self) -> set[str]:
         """The words of `name` and `about`, in lower case."""
@@ -151,19 +163,19 @@ def drop_faulty_triangles(parts: Sequence[MeshPart], report: ImportReport) -> li
         if not inside.all():
             report.warn("has triangles whose vertices do not exist; they are left out")
         if good.any():
-            valid.append(_select_faces(part, good))
+            valid.append(part.select_faces(good))
     return valid
 
 
-def _select_faces(part: MeshPart, faces: Flags) -> MeshPart:
-    # Unused vertices are dropped: they may be NaN, or far away.
-    used, index = np.unique(part.faces[faces], return_inverse=True)
+def join_parts(parts: Sequence[MeshPart]) -> MeshPart:
+    """The triangles of `parts` as one part, which is otherwise like the first."""
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
     return replace(
-        part,
-        vertices=part.vertices[used],
-        faces=index.reshape(-1, 3).astype(np.int32),
-        colours=part.colours[faces],
-        texture=None if part.texture is None else part.texture.select_faces(faces),
+        parts[0],
+        vertices=np.concatenate([part.vertices for part in parts]),
+        faces=np.concatenate([part.faces + s for part, s in zip(parts, starts, strict=True)], dtype=np.int32),
+        colours=np.concatenate([part.colours for part in parts]),
+        texture=join_textures([part.texture for part in parts], [len(part.faces) for part in parts]),
     )
 
 

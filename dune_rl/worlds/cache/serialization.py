@@ -15,7 +15,6 @@ from dune_rl.worlds.actor_trajectory import ActorTrajectory
 from dune_rl.worlds.clearance import ClearanceField, SurfaceClearance
 from dune_rl.worlds.grass import Grass
 from dune_rl.worlds.ground_texture import GroundColours, GroundPicture
-from dune_rl.worlds.importing.imported_props import ImportedProp
 from dune_rl.worlds.importing.imported_world import ImportedWorld
 from dune_rl.worlds.surface_map import SurfaceMap
 from dune_rl.worlds.surfaces import Soil, Surface
@@ -31,7 +30,6 @@ _PLAIN: dict[str, type] = {
         Grass,
         GroundColours,
         GroundPicture,
-        ImportedProp,
         ImportedWorld,
         Prop,
         MeshTexture,

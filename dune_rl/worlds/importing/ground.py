@@ -11,12 +11,11 @@ from dune_rl.core.untrusted_files import ImportReport
 from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
-from dune_rl.rendering.mesh_files.parts import MeshPart
-from dune_rl.rendering.mesh_texture import join_textures
+from dune_rl.rendering.mesh_files.parts import MeshPart, join_parts
 from dune_rl.worlds.ground_texture import GroundPicture
-from dune_rl.worlds.importing.ground_pictures import bake_ground_picture
 from dune_rl.worlds.importing.height_grid import (
     Triangles,
+    bake_ground_picture,
     cast_down,
     fill_gaps,
     grid_axes,
@@ -24,8 +23,6 @@ from dune_rl.worlds.importing.height_grid import (
     ground_extent,
 )
 from dune_rl.worlds.importing.topology import doubled_areas, label_face_components, open_edges, weld_vertices
-
-Faces = NDArray[np.int32]
 
 # Steeper triangles are no ground: walls, and the sides of objects.
 _STEEPEST_RAD = np.deg2rad(62.0)
@@ -75,39 +72,29 @@ def extract_ground(
     low, high = ground_extent(soup, is_ground)
     step = grid_spacing(low, high, spacing_m)
     x, y, origin = grid_axes(low, high, step)
-    heights, face = cast_down(
-        soup, np.flatnonzero(is_ground), np.stack(np.meshgrid(x, y), axis=-1), low, high
-    )
+    points = np.stack(np.meshgrid(x, y), axis=-1)
+    heights, face = cast_down(soup, np.flatnonzero(is_ground), points, low, high)
     known = face >= 0
     colours = np.where(known[..., None], soup.colours[face], 0.0).astype(np.float32)
-    _warn_of_holes(soup, is_ground, known, x, y, report)
-    ground_heights = fill_gaps(heights, known)
+    _warn_of_holes(soup, is_ground, known, points, report)
+    terrain = HeightField(fill_gaps(heights, known), step, origin)
     smooth = [fill_gaps(colours[..., channel].astype(np.float64), known) for channel in range(3)]
     colours = np.stack(smooth, axis=-1).astype(np.float32)
-    terrain = HeightField(ground_heights, step, origin)
     picture = bake_ground_picture(soup, is_ground, terrain, colours)
     return ImportedGround(terrain, known, colours, is_ground, picture)
 
 
 def _join_triangles(parts: Sequence[MeshPart]) -> Triangles:
-    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
-    vertices = np.concatenate([part.vertices for part in parts])
-    faces = np.concatenate([part.faces + start for part, start in zip(parts, starts[:-1], strict=True)])
+    whole = join_parts(parts)
     claim = {True: 1, False: -1, None: 0}
     claims = [
         np.full(len(part.faces), claim[part.ground if part.solid else False], np.int8) for part in parts
     ]
-    doubled = doubled_areas(vertices[faces])
+    doubled = doubled_areas(whole.vertices[whole.faces])
     length = np.linalg.norm(doubled, axis=1)
-    return Triangles(
-        vertices,
-        faces.astype(np.int32),
-        np.concatenate([part.colours for part in parts]),
-        np.concatenate(claims),
-        doubled / np.maximum(length, 1e-30)[:, None],
-        length / 2,
-        join_textures([part.texture for part in parts], [len(part.faces) for part in parts]),
-    )
+    normals = doubled / np.maximum(length, 1e-30)[:, None]
+    mesh = whole.vertices, whole.faces, whole.colours
+    return Triangles(*mesh, np.concatenate(claims), normals, length / 2, whole.texture)
 
 
 def _label_surfaces(soup: Triangles) -> NDArray[np.int64]:
@@ -136,9 +123,13 @@ def _find_ground_faces(soup: Triangles, surface: NDArray[np.int64]) -> Flags:
     large = ~vault & (flat_area >= max(_ISLAND_M2, _ISLAND_SHARE * float(flat_area[~vault].max(initial=0.0))))
     probes = _rim_probes(soup, surface)
     for _ in range(_PASSES):
-        joined, over_none = _rims_on_ground(soup, ground[surface] & chosen, probes, count)
+        is_ground = ground[surface] & chosen
+        joined, over_none = _rims_on_ground(soup, is_ground, probes, count)
         # A roof's rim may be beyond the ground's edge while its inside is above ground.
-        above = _surfaces_above_ground(soup, ground[surface] & chosen, surface, count)
+        others = np.flatnonzero(chosen & ~is_ground)
+        centres = soup.vertices[soup.faces[others]].mean(axis=1)
+        above = np.zeros(count, bool)
+        above[surface[others[np.isfinite(_topmost(soup, is_ground, centres[:, :2]))]]] = True
         islands = large & (over_none > 0.95) & ~above
         more = ~ground & ((joined >= _JOINED_SHARE) | islands)
         if not more.any():
@@ -174,7 +165,8 @@ def _is_vault(corners: Array, centre: dict[int, Array], number: int) -> bool:
 
 
 class _Probes(NamedTuple):
-    # Points on the rims of surfaces: positions, surface numbers, lengths of rim [m], and outward directions.
+    """Points on the rims of surfaces: positions, surface numbers, lengths of rim [m], and outward directions."""
+
     at: Array
     surface: NDArray[np.int64]
     weight: Array
@@ -194,14 +186,9 @@ def _rim_probes(soup: Triangles, surface: NDArray[np.int64]) -> _Probes:
     outward = np.stack([along[:, 1], -along[:, 0]], axis=1) / np.maximum(length, 1e-9)[:, None]
     inward = ((opposite - start)[:, :2] * outward).sum(axis=1) > 0
     outward[inward] *= -1
-    shares = np.array([0.15, 0.5, 0.85])
-    at = start[:, None] + shares[None, :, None] * (end - start)[:, None]
-    return _Probes(
-        at.reshape(-1, 3),
-        np.repeat(surface[face], len(shares)),
-        np.repeat(length, len(shares)),
-        np.repeat(outward, len(shares), axis=0),
-    )
+    at = start[:, None] + np.array([[0.15], [0.5], [0.85]]) * (end - start)[:, None]
+    values = (np.repeat(each, 3, axis=0) for each in (surface[face], length, outward))
+    return _Probes(at.reshape(-1, 3), *values)
 
 
 def _rims_on_ground(soup: Triangles, ground: Flags, probes: _Probes, count: int) -> tuple[Array, Array]:
@@ -217,15 +204,6 @@ def _rims_on_ground(soup: Triangles, ground: Flags, probes: _Probes, count: int)
     return joined, np.bincount(probes.surface, probes.weight * ~has_ground, minlength=count) / total
 
 
-def _surfaces_above_ground(soup: Triangles, ground: Flags, surface: NDArray[np.int64], count: int) -> Flags:
-    """Mask (count,) of the surfaces with ground above or below any of their triangles' centres."""
-    candidates = np.flatnonzero((surface >= 0) & ~ground)
-    centres = soup.vertices[soup.faces[candidates]].mean(axis=1)
-    over = np.zeros(count, bool)
-    over[surface[candidates[np.isfinite(_topmost(soup, ground, centres[:, :2]))]]] = True
-    return over
-
-
 def _topmost(soup: Triangles, faces: Flags, xy: Array) -> Array:
     """Height [m], (N,), of the topmost of the triangles in `faces` (F,) at points (N, 2); -inf for none."""
     top = float(soup.vertices[:, 2].max()) + 1.0
@@ -233,18 +211,14 @@ def _topmost(soup: Triangles, faces: Flags, xy: Array) -> Array:
     return RayScene(soup.vertices, soup.faces[faces]).topmost(xy, top, far)
 
 
-def _warn_of_holes(
-    soup: Triangles, ground: Flags, known: Flags, x: Array, y: Array, report: ImportReport
-) -> None:
-    if known.all():
-        return
-    rows, columns = np.nonzero(~known)
-    covered = np.zeros(len(rows), bool)
-    if not ground.all():
-        covered = np.isfinite(_topmost(soup, ~ground, np.column_stack([x[columns], y[rows]])))
-    share = float((~covered).sum()) / known.size
+def _warn_of_holes(soup: Triangles, ground: Flags, known: Flags, points: Array, report: ImportReport) -> None:
+    holes = points[~known]
+    if len(holes) and not ground.all():
+        holes = holes[~np.isfinite(_topmost(soup, ~ground, holes))]
+    share = len(holes) / known.size
     if share > 0.001:
+        width, depth = points[-1, -1] - points[0, 0]
         report.warn(
-            f"{share:.1%} of its rectangle of {x[-1] - x[0]:.0f} by {y[-1] - y[0]:.0f} m has no ground; "
+            f"{share:.1%} of its rectangle of {width:.0f} by {depth:.0f} m has no ground; "
             "the holes are filled smoothly"
         )

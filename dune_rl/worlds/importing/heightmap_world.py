@@ -8,19 +8,19 @@ from pydantic import Field
 from scipy import ndimage
 
 from dune_rl.core.errors import WorldError
-from dune_rl.core.untrusted_files import ImportReport, resolve_world_path
+from dune_rl.core.untrusted_files import ImportReport
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.worlds.importing.height_files import HeightSamples, read_heights
+from dune_rl.worlds.importing.grid_files import HeightSamples, read_heights
 from dune_rl.worlds.importing.height_grid import check_grid_size, fill_gaps, grid_axes
 from dune_rl.worlds.importing.imported_world import (
-    REGION_TEXT,
+    Friction,
     ImportedWorld,
-    RegionChoice,
-    check_region,
-    set_region,
+    ImportedWorldConf,
+    SpacingM,
+    make_world,
+    read_surfaces,
 )
-from dune_rl.worlds.importing.surface_files import ImportedWorldConf, read_surfaces
 
 _LARGEST_M = 20_000.0
 # Up to this number of points, the file's own grid is the default.
@@ -47,14 +47,11 @@ class HeightmapConf(ImportedWorldConf):
         le=20_000.0,
         description="height of the lowest point; None: 0, or that of the file",
     )
-    spacing_m: float | None = Field(
+    spacing_m: SpacingM | None = Field(
         default=None,
-        ge=0.01,
-        le=100.0,
         description="of the grid; None: the file's, or one of 400,000 points where that has more",
     )
-    friction: float = Field(default=1.0, gt=0.0, le=5.0)
-    region: RegionChoice = Field(default=None, description=REGION_TEXT)
+    friction: Friction = 1.0
 
 
 def build_heightmap(conf: HeightmapConf) -> ImportedWorld:
@@ -62,14 +59,11 @@ def build_heightmap(conf: HeightmapConf) -> ImportedWorld:
 
     Samples without a height are filled smoothly, with a `WorldWarning`.
     """
-    path = resolve_world_path(conf.path)
-    report = ImportReport(path.name)
+    path, report = conf.open()
     heights = read_heights(path, report)
-    size = _size(conf, heights, path)
-    samples = _in_metres(conf, heights, path)
+    size, samples = _size(conf, heights, path), _in_metres(conf, heights, path)
     terrain, known = terrain_from_samples(samples, size, conf.spacing_m, report)
-    world = ImportedWorld("heightmap", terrain, (), region=terrain.extent, friction=conf.friction)
-    set_region(world, check_region(conf.region), report, known)
+    world = make_world(conf, terrain, (), report, friction=conf.friction, known=known)
     world.surfaces = read_surfaces(conf, world.extent)
     report.emit_warnings()
     return world

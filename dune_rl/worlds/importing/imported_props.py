@@ -1,7 +1,7 @@
 """Props of imported worlds: triangles that are not ground, grouped and closed."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,10 +9,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from dune_rl.core.untrusted_files import ImportReport
-from dune_rl.geometry.arrays import Array, Flags, Floats
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.rendering.mesh_files.parts import MeshPart
-from dune_rl.rendering.mesh_texture import MeshTexture, join_textures
+from dune_rl.rendering.mesh_files.parts import MeshPart, join_parts
 from dune_rl.worlds.importing.topology import (
     close_surface,
     doubled_areas,
@@ -20,8 +19,6 @@ from dune_rl.worlds.importing.topology import (
     weld_vertices,
 )
 from dune_rl.worlds.world import Prop
-
-Ids = NDArray[np.int64]
 
 MAX_PROPS = 400
 # Bullet takes no mesh with more than 131,072 vertices or 524,288 indices.
@@ -36,31 +33,27 @@ _LONGEST_STEEP_M = 1.5
 _BACKDROP_M = 50.0
 
 
-@dataclass(frozen=True, eq=False)
-class ImportedProp(Prop):
-    """A prop from a file, with `face_colours` (F, 3) in sRGB; `colour` is their mean."""
-
-    face_colours: Floats = field(default_factory=lambda: np.zeros((0, 3), np.float32))
+# A part, and pieces of it that form one prop.
+_Group = tuple[MeshPart, list[MeshPart]]
 
 
 def extract_props(
     parts: Sequence[MeshPart], is_ground: Flags, terrain: HeightField, report: ImportReport
-) -> list[ImportedProp]:
+) -> list[Prop]:
     """Props of the triangles that are not ground; `is_ground` (F,) covers all parts in their order.
 
     Pieces of a part that are near each other form one prop. Triangles below the ground or flush with it are
     left out.
     """
     starts = np.cumsum([0, *(len(part.faces) for part in parts)])
-    groups: list[tuple[MeshPart, list[_Piece]]] = []
+    groups: list[_Group] = []
     for part, start in zip(parts, starts[:-1], strict=True):
         rest = np.flatnonzero(~is_ground[start : start + len(part.faces)])
         far = _is_backdrop(part, rest, terrain)
         if far.any():
             report.warn(f"{part.name!r} reaches far beyond the ground; its triangles there are left out")
         pieces = list(_split_pieces(part, rest[~far], terrain))
-        if pieces:
-            groups += [(part, group) for group in _group_near_pieces(pieces)]
+        groups += [(part, group) for group in _group_near_pieces(pieces)]
     if len(groups) > MAX_PROPS:
         report.warn(f"{len(groups)} separate objects are merged into one per part of the file")
         groups = _merge_by_part(groups)
@@ -77,15 +70,7 @@ def _is_backdrop(part: MeshPart, faces: NDArray[np.intp], terrain: HeightField) 
     return np.asarray(beyond.any(axis=(1, 2)))
 
 
-@dataclass(frozen=True, eq=False)
-class _Piece:
-    vertices: Array
-    faces: NDArray[np.int32]
-    colours: Floats
-    texture: MeshTexture | None
-
-
-def _split_pieces(part: MeshPart, rest: NDArray[np.intp], terrain: HeightField) -> Iterator[_Piece]:
+def _split_pieces(part: MeshPart, rest: NDArray[np.intp], terrain: HeightField) -> Iterator[MeshPart]:
     """The connected components of some faces of a part, each closed."""
     if not len(rest):
         return
@@ -103,7 +88,8 @@ def _split_pieces(part: MeshPart, rest: NDArray[np.intp], terrain: HeightField) 
             continue
         vertices, corners, source = close_surface(part.vertices, faces, height)
         texture = None if part.texture is None else part.texture.select_faces(piece[source])
-        yield _Piece(vertices, corners, part.colours[piece][source], texture)
+        colours = part.colours[piece][source]
+        yield replace(part, vertices=vertices, faces=corners, colours=colours, texture=texture)
 
 
 def _is_terrain_face(part: MeshPart, faces: NDArray[np.intp], over: Array, terrain: HeightField) -> Flags:
@@ -124,38 +110,33 @@ def is_single_sheet(part: MeshPart) -> bool:
     return bool(upward[upward > 0].sum() > 5 * -upward[upward < 0].sum())
 
 
-def _group_near_pieces(pieces: list[_Piece]) -> list[list[_Piece]]:
+def _group_near_pieces(pieces: list[MeshPart]) -> list[list[MeshPart]]:
     """Groups of pieces with overlapping bounding boxes, or with vertices in the same cells."""
-    if len(pieces) == 1:
-        return [pieces]
+    if len(pieces) <= 1:
+        return [pieces] if pieces else []
     owner = np.repeat(np.arange(len(pieces)), [len(piece.vertices) for piece in pieces])
     cells = np.floor(np.concatenate([piece.vertices for piece in pieces]) / _CELL_M).astype(np.int64)
     _, cell = np.unique(cells, axis=0, return_inverse=True)
     nodes = len(pieces) + int(cell.max()) + 1
     pairs = np.stack([owner, len(pieces) + cell.reshape(-1)])
     if len(pieces) <= _MOST_COMPARED:
-        pairs = np.concatenate([pairs, _overlapping_pairs(pieces)], axis=1)
+        low = np.array([piece.vertices.min(axis=0) for piece in pieces])
+        high = np.array([piece.vertices.max(axis=0) for piece in pieces])
+        below = np.ones((len(pieces), len(pieces)), bool)
+        for axis in range(3):
+            below &= low[:, None, axis] <= high[None, :, axis]
+        pairs = np.concatenate([pairs, np.stack(np.nonzero(below & below.T))], axis=1)
     graph = coo_array((np.ones(pairs.shape[1], np.int8), tuple(pairs)), shape=(nodes, nodes))
     count, label = connected_components(graph, directed=False)
-    groups: list[list[_Piece]] = [[] for _ in range(count)]
+    groups: list[list[MeshPart]] = [[] for _ in range(count)]
     for piece, number in zip(pieces, label[: len(pieces)], strict=True):
         groups[number].append(piece)
     return [group for group in groups if group]
 
 
-def _overlapping_pairs(pieces: list[_Piece]) -> Ids:
-    """Index pairs (2, N) of pieces with overlapping bounding boxes."""
-    low = np.array([piece.vertices.min(axis=0) for piece in pieces])
-    high = np.array([piece.vertices.max(axis=0) for piece in pieces])
-    overlap = np.ones((len(pieces), len(pieces)), bool)
-    for axis in range(3):
-        overlap &= low[:, None, axis] <= high[None, :, axis]
-    return np.stack(np.nonzero(overlap & overlap.T)).astype(np.int64)
-
-
-def _merge_by_part(groups: list[tuple[MeshPart, list[_Piece]]]) -> list[tuple[MeshPart, list[_Piece]]]:
+def _merge_by_part(groups: list[_Group]) -> list[_Group]:
     # By kind if the file has too many parts.
-    merged: dict[object, tuple[MeshPart, list[_Piece]]] = {}
+    merged: dict[object, _Group] = {}
     for key in (lambda part: id(part), lambda part: (part.kind, part.solid)):
         merged = {}
         for part, pieces in groups:
@@ -165,44 +146,35 @@ def _merge_by_part(groups: list[tuple[MeshPart, list[_Piece]]]) -> list[tuple[Me
     return list(merged.values())
 
 
-def _build_props(groups: list[tuple[MeshPart, list[_Piece]]]) -> list[ImportedProp]:
-    props: list[ImportedProp] = []
+def _build_props(groups: list[_Group]) -> list[Prop]:
+    props: list[Prop] = []
     counts: dict[str, int] = {}
-    for part, pieces in groups:
-        for vertices, faces, colours, texture in _merge_within_limits(pieces):
+    for whole, pieces in groups:
+        for part in _split_within_limits(join_parts(pieces)):
             number = counts[part.name] = counts.get(part.name, 0) + 1
-            area = np.linalg.norm(doubled_areas(vertices[faces]), axis=1)
-            red, green, blue = np.average(colours, axis=0, weights=area + 1e-12)
+            area = np.linalg.norm(doubled_areas(part.vertices[part.faces]), axis=1)
+            red, green, blue = np.average(part.colours, axis=0, weights=area + 1e-12).tolist()
             props.append(
-                ImportedProp(
+                Prop(
                     part.name if number == 1 else f"{part.name} #{number}",
-                    part.kind,
-                    vertices,
-                    faces.astype(np.int32),
+                    whole.kind,
+                    part.vertices,
+                    part.faces,
                     solid=part.solid and not part.is_named_water,
-                    colour=(float(red), float(green), float(blue)),
-                    face_colours=colours.astype(np.float32),
-                    texture=texture,
+                    colour=(red, green, blue),
+                    face_colours=part.colours.astype(np.float32),
+                    texture=part.texture,
                 )
             )
     return props
 
 
-def _merge_within_limits(
-    pieces: list[_Piece],
-) -> Iterator[tuple[Array, NDArray[np.int32], Floats, MeshTexture | None]]:
-    """The pieces as one mesh, or as several if an engine's limits require it; together these are closed."""
-    starts = np.cumsum([0, *(len(piece.vertices) for piece in pieces[:-1])])
-    vertices = np.concatenate([piece.vertices for piece in pieces])
-    faces = np.concatenate([piece.faces + s for piece, s in zip(pieces, starts, strict=True)])
-    colours = np.concatenate([piece.colours for piece in pieces])
-    texture = join_textures([piece.texture for piece in pieces], [len(piece.faces) for piece in pieces])
-    if len(faces) <= _MOST_FACES:
-        yield vertices, faces, colours, texture
+def _split_within_limits(part: MeshPart) -> Iterator[MeshPart]:
+    """The part, or several if an engine's limits require it; together these are closed."""
+    if len(part.faces) <= _MOST_FACES:
+        yield part
         return
-    along = int(np.ptp(vertices[:, :2], axis=0).argmax())
-    order = np.argsort(vertices[faces, along].mean(axis=1), kind="stable")
-    for chosen in np.array_split(order, int(np.ceil(len(faces) / _MOST_FACES))):
-        used, index = np.unique(faces[chosen], return_inverse=True)
-        own = None if texture is None else texture.select_faces(chosen)
-        yield vertices[used], index.reshape(-1, 3).astype(np.int32), colours[chosen], own
+    along = int(np.ptp(part.vertices[:, :2], axis=0).argmax())
+    order = np.argsort(part.vertices[part.faces, along].mean(axis=1), kind="stable")
+    for chosen in np.array_split(order, int(np.ceil(len(order) / _MOST_FACES))):
+        yield part.select_faces(chosen)

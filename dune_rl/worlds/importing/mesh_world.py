@@ -8,17 +8,16 @@ import numpy as np
 from pydantic import Field
 
 from dune_rl.core.errors import WorldError
-from dune_rl.core.untrusted_files import ImportReport, WorldFiles, resolve_world_path
+from dune_rl.core.untrusted_files import ImportReport, WorldFiles
 from dune_rl.rendering.mesh_files.files import UpAxis, load_mesh_parts
 from dune_rl.rendering.mesh_files.parts import MeshPart, has_usual_size
 from dune_rl.worlds.importing.imported_world import (
-    REGION_TEXT,
+    Friction,
     ImportedWorld,
-    RegionChoice,
+    ImportedWorldConf,
     assemble_world,
-    check_region,
+    read_surfaces,
 )
-from dune_rl.worlds.importing.surface_files import ImportedWorldConf, read_surfaces
 
 # Beyond this distance, single precision is coarser than a millimetre.
 _FAR_M = 5_000.0
@@ -33,14 +32,10 @@ class MeshConf(ImportedWorldConf):
         default=None, gt=0.0, le=1e4, description="length of the file's unit; None: the file's, else a metre"
     )
     up: UpAxis | None = Field(default=None, description="the file's up axis; None: the file's, else z")
-    spacing_m: float | None = Field(
-        default=None, ge=0.01, le=100.0, description="of the ground's grid; None: chosen for its size"
-    )
     ground: tuple[str, ...] = Field(
         default=(), description="names of the parts that are ground, with * as wildcard; none: determined"
     )
-    friction: float = Field(default=1.0, gt=0.0, le=5.0)
-    region: RegionChoice = Field(default=None, description=REGION_TEXT)
+    friction: Friction = 1.0
 
 
 def build_mesh(conf: MeshConf) -> ImportedWorld:
@@ -48,16 +43,12 @@ def build_mesh(conf: MeshConf) -> ImportedWorld:
 
     Nothing outside the file's folder is read. Parts that are missing or not supported cause a `WorldWarning`.
     """
-    path = resolve_world_path(conf.path)
-    report = ImportReport(path.name)
+    path, report = conf.open()
     folder = WorldFiles(path.resolve().parent, path.resolve().parent)
     parts = load_mesh_parts(path, folder, report, unit_m=conf.unit_m, up=conf.up)
     parts = _move_near_origin(_declare_ground(parts, conf.ground), report)
-    region = check_region(conf.region)
     try:
-        world = assemble_world(
-            "mesh", parts, report, spacing_m=conf.spacing_m, friction=conf.friction, region=region
-        )
+        world = assemble_world(conf, parts, report, friction=conf.friction)
     except WorldError as error:
         raise report.explain(str(error)) from None
     if has_usual_size(world.extent):

@@ -16,8 +16,6 @@ from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.worlds.passage import FreeSpace
 from dune_rl.worlds.world import BETWEEN_OBJECTS, OPEN_GROUND, Rectangle, RegionCandidate, World
 
-Labels = NDArray[np.int32]
-
 # Regions are searched for a robot of this size, since the world does not know its robots.
 _ROBOT_RADIUS_M, _SLOPE_DEG, _EDGE_M = 0.5, 20.0, 1.5
 _CELL_M, _MOST_CELLS = 0.1, 1_000_000
@@ -53,11 +51,8 @@ def find_region_candidates(world: World, known: Flags | None = None) -> list[Reg
     large = [each for each in between if _is_large(each)]
     opened = _find_open_square(grid)
     apart = opened is not None and all(_overlap(opened, other) < _LARGEST_OVERLAP for other in large)
-    return [
-        *large,
-        *([opened] if opened is not None and apart else []),
-        *(each for each in between if not _is_large(each)),
-    ]
+    small = [each for each in between if not _is_large(each)]
+    return [*large, *([opened] if opened is not None and apart else []), *small]
 
 
 def _is_large(candidate: RegionCandidate) -> bool:
@@ -93,13 +88,11 @@ class _Grid(NamedTuple):
 
     def rectangle(self, rows: slice, columns: slice) -> Rectangle:
         """The rectangle [m] of a range of cells."""
-        half = self.cell_m / 2
-        return (
-            round(float(self.x[columns.start] - half), 6),
-            round(float(self.x[columns.stop - 1] + half), 6),
-            round(float(self.y[rows.start] - half), 6),
-            round(float(self.y[rows.stop - 1] + half), 6),
+        half, x, y = self.cell_m / 2, self.x[columns], self.y[rows]
+        xmin, xmax, ymin, ymax = (
+            round(float(side), 6) for side in (x[0] - half, x[-1] + half, y[0] - half, y[-1] + half)
         )
+        return xmin, xmax, ymin, ymax
 
 
 def _find_between_objects(grid: _Grid) -> Flags:
@@ -123,13 +116,9 @@ def _find_between_objects(grid: _Grid) -> Flags:
         kernel = (near & (sector == number))[::-1, ::-1].astype(np.float32)
         counts = fft.irfft2(spectrum * fft.rfft2(kernel, shape), shape)
         occupied[number] = counts[reach : reach + rows, reach : reach + columns] > 0.5
-    gap = np.ones((rows, columns), bool)
-    between = np.ones((rows, columns), bool)
-    for first in range(_SECTORS):
-        gap[:] = True
-        for number in range(first, first + _LARGEST_GAP + 1):
-            gap &= ~occupied[number % _SECTORS]
-        between &= ~gap
+    # Some sector of each so many neighbours has an object.
+    neighbours = [np.roll(occupied, -shift, axis=0) for shift in range(_LARGEST_GAP + 1)]
+    between = np.logical_or.reduce(neighbours).all(axis=0)
     fine = between.repeat(step, axis=0).repeat(step, axis=1)
     fine = fine[: grid.objects.shape[0], : grid.objects.shape[1]]
     closed = fine | ndimage.binary_closing(fine, iterations=max(1, round(_CLOSING_M / grid.cell_m)))
@@ -143,11 +132,9 @@ def _search_between_objects(grid: _Grid) -> list[RegionCandidate]:
     labels, count = ndimage.label(grid.usable & _find_between_objects(grid))
     sizes = np.bincount(labels.reshape(-1), minlength=count + 1)[1:]
     least = _LEAST_M2 / grid.cell_m**2
-    places = [
-        int(place) for place in np.argsort(-sizes, kind="stable")[:_MOST_PLACES] if sizes[place] >= least
-    ]
+    places = np.argsort(-sizes, kind="stable")[:_MOST_PLACES]
     found: list[tuple[float, RegionCandidate]] = []
-    for place in places:
+    for place in places[sizes[places] >= least].tolist():
         inside = labels == place + 1
         for _ in range(_MOST_CANDIDATES):
             window = _best_window(inside, grid)

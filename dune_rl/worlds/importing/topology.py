@@ -25,6 +25,12 @@ def weld_vertices(vertices: Array, faces: Faces) -> Ids:
     return np.asarray(place, np.int64).reshape(-1)[faces]
 
 
+def renumber_welded(vertices: Array, faces: Faces) -> tuple[Ids, NDArray[np.int32]]:
+    """Faces (F, 3) of welded vertices, numbered from 0, and the index in `vertices` of each of these."""
+    _, index, ids = np.unique(weld_vertices(vertices, faces), return_index=True, return_inverse=True)
+    return ids.reshape(-1, 3), faces.reshape(-1)[index]
+
+
 def doubled_areas(corners: Array) -> Array:
     """Normals (F, 3) of triangles (F, 3, 3), as long as twice their areas."""
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -78,29 +84,21 @@ def close_surface(
     A mesh that is open only at or below the ground (`ground_height` (V,) [m] below its vertices) is capped
     there. Any other open mesh is treated as a sheet and gets a back side at a distance of `SHELL_M`.
     """
-    # Renumbered with welded vertices.
-    ids = weld_vertices(vertices, faces)
-    _, index, ids = np.unique(ids, return_index=True, return_inverse=True)
-    ids = ids.reshape(-1, 3)
-    origin = faces.reshape(-1)[index]
+    ids, origin = renumber_welded(vertices, faces)
     points, ground = vertices[origin], ground_height[origin]
     start, end = boundary_edges(ids)
-    source = np.arange(len(faces))
-    if not len(start):
-        if _volume(points, ids) < 0:
-            ids = ids[:, ::-1]
-        return points, ids.astype(np.int32), source
     rim = np.concatenate([start, end])
-    if (points[rim, 2] <= ground[rim] + 0.03).all():
+    if not (points[rim, 2] <= ground[rim] + 0.03).all():
+        return _thicken(points, ids, start, end)
+    if len(rim):
         apex = points[rim].mean(axis=0)
         apex[2] = min(float(points[rim, 2].min()), float(ground[rim].min())) - 0.1
         caps = np.stack([end, start, np.full(len(start), len(points))], axis=1)
-        ids = np.concatenate([ids, caps])
-        points = np.concatenate([points, apex[None]])
-        if _volume(points, ids) < 0:
-            ids = ids[:, ::-1]
-        return points, ids.astype(np.int32), np.concatenate([source, np.zeros(len(caps), np.intp)])
-    return _thicken(points, ids, start, end)
+        ids, points = np.concatenate([ids, caps]), np.concatenate([points, apex[None]])
+    if signed_volumes(points, ids).sum() < 0:
+        ids = ids[:, ::-1]
+    source = np.concatenate([np.arange(len(faces)), np.zeros(len(start), np.intp)])
+    return points, ids.astype(np.int32), source
 
 
 def _thicken(points: Array, ids: Ids, start: Ids, end: Ids) -> tuple[Array, Faces, NDArray[np.intp]]:
@@ -119,7 +117,8 @@ def _thicken(points: Array, ids: Ids, start: Ids, end: Ids) -> tuple[Array, Face
     return both, faces, np.concatenate([source, source, np.zeros(len(sides), np.intp)])
 
 
-def _volume(points: Array, ids: Ids) -> float:
+def signed_volumes(points: Array, ids: Ids) -> Array:
+    """Six times the signed volumes (F,) between the faces (F, 3) and the centroid of `points` (V, 3)."""
     # About the centroid, where rounding errors are smallest.
     a, b, c = np.moveaxis(points[ids] - points.mean(axis=0), 1, 0)
-    return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum())
+    return np.einsum("ij,ij->i", a, np.cross(b, c))

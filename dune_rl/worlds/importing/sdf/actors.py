@@ -48,9 +48,7 @@ def parse_actor(element: Element, matrix: Array, report: ImportReport) -> ActorT
         return None
     if element.find("skin") is not None or element.find("animation") is not None:
         report.warn(SKIN_NOTE)
-    times = np.array(sorted(points))
-    poses = np.stack([points[time] for time in times.tolist()])
-    poses[:, 3] = unwrap_yaw(poses[:, 3])
+    times, poses = _in_order(points)
     script = element.find("script")
     assert script is not None
     loop = (script.findtext("loop") or "true").strip() in _TRUE
@@ -84,23 +82,27 @@ def _way_points(element: Element, name: str, matrix: Array) -> dict[float, Array
             pose = matrix @ parse_pose(way_point)
             if not np.abs(pose[:3, 3]).max() <= FARTHEST_M:
                 raise WorldError(f"a <waypoint> of the actor {name!r} is farther off than {FARTHEST_M:g} m.")
-            yaw = np.arctan2(pose[1, 0], pose[0, 0])
-            own[time] = np.array([*pose[:3, 3], yaw])
+            own[time] = np.array([*pose[:3, 3], np.arctan2(pose[1, 0], pose[0, 0])])
         if not own:
             continue
         if len(points) + len(own) > MOST_WAY_POINTS:
             raise WorldError(
                 f"the actor {name!r} has more than {MOST_WAY_POINTS:,} <waypoint>s: reduce them."
             )
-        times = np.array(sorted(own))
-        poses = np.stack([own[time] for time in times.tolist()])
-        poses[:, 3] = unwrap_yaw(poses[:, 3])
-        times, poses = add_spline_points(times, poses, _tension(trajectory, name))
+        times, poses = add_spline_points(*_in_order(own), _tension(trajectory, name))
         points |= {start + time: pose for time, pose in zip(times.tolist(), poses, strict=True)}
         start += float(times[-1])
         if start > LONGEST_S:
             raise WorldError(f"the <trajectory>s of the actor {name!r} must end before {LONGEST_S:g} s.")
     return points
+
+
+def _in_order(points: dict[float, Array]) -> tuple[Array, Array]:
+    """Times (T,) and poses (T, 4) of `points`, which has poses by time, with turns the shorter way."""
+    times = np.array(sorted(points))
+    poses = np.stack([points[time] for time in times.tolist()])
+    poses[:, 3] = unwrap_yaw(poses[:, 3])
+    return times, poses
 
 
 def _tension(trajectory: Element, name: str) -> float:
@@ -128,7 +130,7 @@ def close_loop(name: str, times: Array, poses: Array, report: ImportReport) -> t
 
 
 def _points_between(xy: Array) -> Array:
-    """Points (P, 2) a quarter of a metre apart, at most, on the lines between way-points (T, 2)."""
+    """Points (P, 2) at most `_LOOK_M` apart on the lines between way-points (T, 2)."""
     travelled = np.concatenate([[0.0], np.linalg.norm(np.diff(xy, axis=0), axis=1).cumsum()])
     count = min(int(np.ceil(travelled[-1] / _LOOK_M)) + 1, _MOST_LOOKS)
     at = np.linspace(0.0, travelled[-1], count)
@@ -165,12 +167,14 @@ def add_spline_points(times: Array, poses: Array, tension: float = 0.0) -> tuple
     if len(times) < 2:
         return times, poses
     points = poses[:, :3]
-    tangents = _tangents(points, 1.0 - tension)
+    is_closed = np.abs(points[-1] - points[0]).max() <= _SAME_END_M
+    before, behind = (points[-2:-1], points[1:2]) if is_closed else (points[:1], points[-1:])
+    padded = np.concatenate([before, points, behind])
+    tangents = 0.5 * (1.0 - tension) * (padded[2:] - padded[:-2])
     legs = np.diff(points, axis=0)
     # How far both ends of a leg pull the spline away from its even line.
-    pull = np.maximum(
-        np.linalg.norm(tangents[:-1] - legs, axis=1), np.linalg.norm(tangents[1:] - legs, axis=1)
-    )
+    first, last = (np.linalg.norm(ends - legs, axis=1) for ends in (tangents[:-1], tangents[1:]))
+    pull = np.maximum(first, last)
     # A leg strays from its line by at most a quarter of its pull. Its second derivative is at most six times
     # the pull, and n parts stray by an eighth of that over n squared.
     parts = np.ceil(np.sqrt(0.75 * pull / _STRAY_M)).clip(1, _MOST_PARTS).astype(int)
@@ -188,12 +192,3 @@ def add_spline_points(times: Array, poses: Array, tension: float = 0.0) -> tuple
     found[:, 3] = poses[before, 3] + share * (poses[before + 1, 3] - poses[before, 3])
     at = times[before] + share * (times[before + 1] - times[before])
     return np.append(at, times[-1]), np.concatenate([found, poses[-1:]])
-
-
-def _tangents(points: Array, strength: float) -> Array:
-    """The tangents (T, 3) of the spline at `points` (T, 3)."""
-    if np.abs(points[-1] - points[0]).max() <= _SAME_END_M:
-        padded = np.concatenate([points[-2:-1], points, points[1:2]])
-    else:
-        padded = np.concatenate([points[:1], points, points[-1:]])
-    return 0.5 * strength * (padded[2:] - padded[:-2])

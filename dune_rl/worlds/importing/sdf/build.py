@@ -1,32 +1,32 @@
 """The sdf world, built from a Gazebo model or world."""
 
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
 
 from dune_rl.core.errors import WorldError
 from dune_rl.core.untrusted_files import ImportReport, WorldFiles, resolve_world_path
-from dune_rl.geometry.arrays import Array
+from dune_rl.geometry.arrays import Array, Flags
+from dune_rl.geometry.heightfield import HeightField
+from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.mesh_files.parts import MeshPart, drop_faulty_triangles
-from dune_rl.worlds.importing.ground_pictures import tile_picture
-from dune_rl.worlds.importing.height_files import read_heights
+from dune_rl.worlds.importing.grid_files import read_heights
+from dune_rl.worlds.importing.height_grid import tile_picture
 from dune_rl.worlds.importing.heightmap_world import terrain_from_samples
 from dune_rl.worlds.importing.imported_props import extract_props, is_single_sheet
 from dune_rl.worlds.importing.imported_world import (
-    REGION_TEXT,
+    Friction,
     ImportedWorld,
-    RegionChoice,
+    ImportedWorldConf,
     assemble_world,
-    check_region,
-    set_region,
+    make_world,
+    read_surfaces,
 )
 from dune_rl.worlds.importing.sdf.actors import place_on_ground
-from dune_rl.worlds.importing.sdf.elements import build_plane
-from dune_rl.worlds.importing.sdf.files import SdfFileFinder
+from dune_rl.worlds.importing.sdf.elements import SdfFileFinder, build_plane
 from dune_rl.worlds.importing.sdf.reader import SdfContents, SdfHeightMap, SdfReader, mean_colour
-from dune_rl.worlds.importing.surface_files import ImportedWorldConf, read_surfaces
 
 _MOST_FRICTION = 5.0
 _PLANE_MARGIN_M, _SMALLEST_PLANE_M, _LARGEST_PLANE_M = 5.0, 20.0, 500.0
@@ -38,13 +38,9 @@ class SdfConf(ImportedWorldConf):
 
     name: Literal["sdf"] = "sdf"
     path: str = Field(min_length=1, description="an .sdf or .world file, or the folder of a model")
-    spacing_m: float | None = Field(
-        default=None, ge=0.01, le=100.0, description="of the ground's grid; None: chosen for its size"
+    friction: Friction | None = Field(
+        default=None, description="None: that of the ground in the file, else 1"
     )
-    friction: float | None = Field(
-        default=None, gt=0.0, le=5.0, description="None: that of the ground in the file, else 1"
-    )
-    region: RegionChoice = Field(default=None, description=REGION_TEXT)
 
 
 def build_sdf(conf: SdfConf) -> ImportedWorld:
@@ -53,34 +49,30 @@ def build_sdf(conf: SdfConf) -> ImportedWorld:
     Files are read only from the file's folder and from GZ_SIM_RESOURCE_PATH. What is missing or not supported
     causes a `WorldWarning`; raises `WorldError` if the file makes no world.
     """
-    path = resolve_world_path(conf.path)
-    report = ImportReport(path.name)
+    path, report = conf.open()
     contents = _read(path, report)
     parts = drop_faulty_triangles(contents.parts, report)
-    region = check_region(conf.region)
-    levels = [height_map for height_map in contents.height_maps if _is_level(height_map)]
+    # The hints are for single meshes: an SDF has <scale> and <pose> for that.
+    report.hints.clear()
     friction = conf.friction if conf.friction is not None else _ground_friction(contents, parts, report)
-    if len(contents.height_maps) == 1 and levels:
-        world = _build_on_height_map(levels[0], parts, conf, friction, contents, report)
+    maps = contents.height_maps
+    if len(maps) == 1 and np.allclose(maps[0].matrix[:3, :3], np.eye(3), atol=1e-6):
+        world = _build_on_height_map(maps[0], parts, conf, friction, contents.light, report)
     else:
-        if contents.height_maps:
-            parts += [_height_map_part(height_map, report) for height_map in contents.height_maps]
+        if maps:
+            parts += [_height_map_part(height_map, report) for height_map in maps]
         elif contents.planes:
             parts = _add_planes(contents, parts, report)
         if not parts:
-            raise _explain_lack_of_ground(path, report)
-        try:
-            world = assemble_world(
-                "sdf",
-                parts,
-                report,
-                spacing_m=conf.spacing_m,
-                friction=friction,
-                region=region,
-                light=contents.light,
+            reason = (
+                ", since all of it was left out:"
+                if report.texts
+                else ": it needs a plane, mesh or height map."
             )
+            raise report.explain(f"{path} has nothing that a robot could stand on{reason}")
+        try:
+            world = assemble_world(conf, parts, report, friction=friction, light=contents.light)
         except WorldError as error:
-            report.hints.clear()
             raise report.explain(str(error)) from None
     world.surfaces = read_surfaces(conf, world.extent)
     world.trajectories = place_on_ground(contents.actors, world, report)
@@ -102,17 +94,6 @@ def count_actors(path: str) -> int:
     return len(_read(found, ImportReport(found.name), actors_only=True).actors)
 
 
-def _explain_lack_of_ground(path: Path, report: ImportReport) -> WorldError:
-    # The hints are for single meshes: an SDF has <scale> and <pose> for that.
-    report.hints.clear()
-    reason = ", since all of it was left out:" if report.texts else ": it needs a plane, mesh or height map."
-    return report.explain(f"{path} has nothing that a robot could stand on{reason}")
-
-
-def _is_level(height_map: SdfHeightMap) -> bool:
-    return bool(np.allclose(height_map.matrix[:3, :3], np.eye(3), atol=1e-6))
-
-
 def _in_metres(height_map: SdfHeightMap, report: ImportReport) -> Array:
     """Samples (rows, columns) [m] relative to the map's pose, scaled as in Gazebo."""
     heights = read_heights(height_map.path, report)
@@ -132,40 +113,34 @@ def _build_on_height_map(
     parts: list[MeshPart],
     conf: SdfConf,
     friction: float,
-    contents: SdfContents,
+    light: LightConf | None,
     report: ImportReport,
 ) -> ImportedWorld:
     # The terrain has the map's own grid, without resampling.
-    size = (float(height_map.size[0]), float(height_map.size[1]))
-    terrain, known = terrain_from_samples(_in_metres(height_map, report), size, conf.spacing_m, report)
+    flat, known = _terrain(height_map, conf.spacing_m, report)
     x, y, z = height_map.matrix[:3, 3]
-    moved = type(terrain)(
-        terrain.heights + z, terrain.spacing_m, (terrain.origin[0] + x, terrain.origin[1] + y)
-    )
-    no_ground = np.zeros(sum(len(part.faces) for part in parts), bool)
-    colours, picture = None, None
+    terrain = HeightField(flat.heights + z, flat.spacing_m, (flat.origin[0] + x, flat.origin[1] + y))
+    colours, picture, shape = None, None, (*terrain.heights.shape, 3)
     if height_map.picture is not None:
-        picture = tile_picture(moved, height_map.picture, height_map.tile_m)
-        colours = np.full((*terrain.heights.shape, 3), picture.colours.mean(axis=(0, 1)), np.float32)
+        picture = tile_picture(terrain, height_map.picture, height_map.tile_m)
+        colours = np.full(shape, picture.colours.mean(axis=(0, 1)), np.float32)
     elif height_map.colour is not None:
-        colours = np.broadcast_to(np.array(height_map.colour, np.float32), (*terrain.heights.shape, 3))
-    world = ImportedWorld(
-        "sdf",
-        moved,
-        extract_props(parts, no_ground, moved, report),
-        region=moved.extent,
-        friction=friction,
-        ground_colours=colours,
-        picture=picture,
-        light=contents.light,
-    )
-    return set_region(world, check_region(conf.region), report, known)
+        colours = np.broadcast_to(np.array(height_map.colour, np.float32), shape)
+    no_ground = np.zeros(sum(len(part.faces) for part in parts), bool)
+    props = extract_props(parts, no_ground, terrain, report)
+    look: Any = {"colours": colours, "picture": picture, "light": light}
+    return make_world(conf, terrain, props, report, friction=friction, known=known, **look)
+
+
+def _terrain(
+    height_map: SdfHeightMap, spacing_m: float | None, report: ImportReport
+) -> tuple[HeightField, Flags]:
+    size = (float(height_map.size[0]), float(height_map.size[1]))
+    return terrain_from_samples(_in_metres(height_map, report), size, spacing_m, report)
 
 
 def _height_map_part(height_map: SdfHeightMap, report: ImportReport) -> MeshPart:
-    samples = _in_metres(height_map, report)
-    size = (float(height_map.size[0]), float(height_map.size[1]))
-    terrain, _ = terrain_from_samples(samples, size, None, report)
+    terrain, _ = _terrain(height_map, None, report)
     colour = height_map.colour
     if colour is None and height_map.picture is not None:
         report.warn("with several height maps, their textures are replaced by mean colours")

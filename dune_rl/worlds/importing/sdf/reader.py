@@ -1,7 +1,7 @@
 """Reading of Gazebo models and worlds (SDF) into parts, planes, height maps, a sun and frictions."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -24,8 +24,14 @@ from dune_rl.rendering.mesh_files.files import load_mesh_parts
 from dune_rl.rendering.mesh_files.parts import GREY, MeshPart, guess_colour
 from dune_rl.worlds.actor_trajectory import ActorTrajectory
 from dune_rl.worlds.importing.sdf.actors import MOST_ACTORS, parse_actor
-from dune_rl.worlds.importing.sdf.elements import build_primitive, parse_numbers, parse_pose, parse_sun
-from dune_rl.worlds.importing.sdf.files import SdfFileFinder
+from dune_rl.worlds.importing.sdf.elements import (
+    SdfFileFinder,
+    build_primitive,
+    parse_colour,
+    parse_numbers,
+    parse_pose,
+    parse_sun,
+)
 
 Colour = tuple[float, float, float]
 
@@ -87,12 +93,12 @@ class SdfReader:
     def _read_file(
         self, path: Path, folder: WorldFiles, matrix: Array, name: str, chain: tuple[Path, ...]
     ) -> None:
-        real = path.resolve()
+        real, source = path.resolve(), self._report.source
         if real in chain:
             loop = " > ".join(p.parent.name + "/" + p.name for p in (*chain[chain.index(real) :], real))
-            raise WorldError(f"{self._report.source} includes itself ({loop}): take one <include> out.")
+            raise WorldError(f"{source} includes itself ({loop}): take one <include> out.")
         if len(chain) >= _DEEPEST:
-            raise WorldError(f"{self._report.source} has <include>s more than {_DEEPEST} deep: flatten them.")
+            raise WorldError(f"{source} has <include>s more than {_DEEPEST} deep: flatten them.")
         here = folder.relative_to(path.parent)
         try:
             self._read_children(self._finder.read_document(path), here, matrix, name, (*chain, real))
@@ -106,42 +112,32 @@ class SdfReader:
     ) -> None:
         for child in element:
             self._elements += 1
-            if self._elements > _MOST_ELEMENTS:
-                raise WorldError(
-                    f"{self._report.source} has more than {_MOST_ELEMENTS:,} elements: reduce it."
-                )
+            self._limit(self._elements, _MOST_ELEMENTS, "elements")
             if child.tag in ("world", "model"):
-                self._warn_if_dynamic(child)
+                # In Gazebo, a model without <static> falls and can be pushed.
+                if child.tag == "model" and (child.findtext("static") or "").strip() not in ("true", "1"):
+                    self._report.warn("models that are not <static> do not move here")
                 # A world's name is ignored; the name of an <include> replaces the model's own.
                 own = "" if child.tag == "world" else child.get("name") or ""
                 full = name if element.tag == "sdf" and name else _path(name, own)
                 self._read_children(child, folder, matrix @ self._pose(child), full, chain)
             elif child.tag == "actor":
-                self._read_actor(child, matrix)
+                actor = parse_actor(child, matrix, self._report)
+                self._contents.actors += [] if actor is None else [actor]
+                self._limit(len(self._contents.actors), MOST_ACTORS, "actors")
             elif self._actors_only and child.tag != "include":
                 continue
             elif child.tag == "link":
-                self._read_link(
-                    child, folder, matrix @ self._pose(child), name or printable(child.get("name") or "")
-                )
+                own = name or printable(child.get("name") or "")
+                self._read_link(child, folder, matrix @ self._pose(child), own)
             elif child.tag == "include":
                 self._read_include(child, folder, matrix, name, chain)
-            elif child.tag == "light":
-                self._read_light(child, matrix)
-            elif child.tag not in _IGNORED:
-                self._report.warn(f"<{printable(child.tag, 40)}> is not supported and left out")
+            else:
+                self._read_light_or_warn(child, matrix)
 
-    def _read_actor(self, element: Element, matrix: Array) -> None:
-        actor = parse_actor(element, matrix, self._report)
-        if actor is not None:
-            self._contents.actors.append(actor)
-        if len(self._contents.actors) > MOST_ACTORS:
-            raise WorldError(f"{self._report.source} has more than {MOST_ACTORS} actors: reduce it.")
-
-    def _warn_if_dynamic(self, element: Element) -> None:
-        # In Gazebo, a model without <static> falls and can be pushed.
-        if element.tag == "model" and (element.findtext("static") or "false").strip() not in ("true", "1"):
-            self._report.warn("models that are not <static> do not move here")
+    def _limit(self, count: int, most: int, what: str) -> None:
+        if count > most:
+            raise WorldError(f"{self._report.source} has more than {most:,} {what}: reduce it.")
 
     def _pose(self, element: Element) -> Array:
         pose = element.find("pose")
@@ -164,17 +160,14 @@ class SdfReader:
         if path.is_dir():
             path = self._finder.find_description(path, within)
         self._includes += 1
-        if self._includes > _MOST_INCLUDES:
-            raise WorldError(f"{self._report.source} has more than {_MOST_INCLUDES:,} <include>s: reduce it.")
+        self._limit(self._includes, _MOST_INCLUDES, "<include>s")
         own = (element.findtext("name") or "").strip() or path.parent.name
         self._read_file(path, within, matrix @ self._pose(element), _path(name, own), chain)
 
     def _read_link(self, link: Element, folder: WorldFiles, matrix: Array, name: str) -> None:
         for child in link:
-            if child.tag == "light":
-                self._read_light(child, matrix)
-            elif child.tag not in ("collision", "visual") and child.tag not in _IGNORED:
-                self._report.warn(f"<{printable(child.tag, 40)}> is not supported and left out")
+            if child.tag not in ("collision", "visual"):
+                self._read_light_or_warn(child, matrix)
         visuals, collisions = link.findall("visual"), link.findall("collision")
         colours = [self._visual_colour(visual, folder) for visual in visuals]
         first = next((colour for colour in colours if colour is not None), None)
@@ -196,7 +189,10 @@ class SdfReader:
         solid: bool,
     ) -> None:
         matrix = matrix @ self._pose(holder)
-        friction = _friction(holder)
+        friction = None
+        for way in ("surface/friction/bullet/friction", "surface/friction/ode/mu"):
+            if (found := holder.find(way)) is not None:
+                friction = float(parse_numbers(found, 1, (1.0,))[0])
         for shape in holder.findall("geometry/*"):
             self._elements += 1
             if shape.tag == "plane":
@@ -211,10 +207,7 @@ class SdfReader:
                 for part in parts:
                     self._faces += len(part.faces)
                     self._record_friction(part.name, friction)
-                if self._faces > MAX_FACES:
-                    raise WorldError(
-                        f"{self._report.source} has more than {MAX_FACES:,} triangles: reduce it."
-                    )
+                self._limit(self._faces, MAX_FACES, "triangles")
                 self._contents.parts += parts
 
     def _record_friction(self, name: str, friction: float | None) -> None:
@@ -226,9 +219,7 @@ class SdfReader:
     ) -> Iterator[MeshPart]:
         mesh = build_primitive(shape)
         if mesh is not None:
-            yield MeshPart.from_triangles(name, *mesh, colour, shape.tag, ground=None, solid=solid).transform(
-                matrix
-            )
+            yield MeshPart.from_triangles(name, *mesh, colour, shape.tag, solid=solid).transform(matrix)
         elif shape.tag == "mesh":
             if shape.find("submesh") is not None:
                 self._report.warn("<submesh> is not supported; the whole mesh is used")
@@ -245,11 +236,11 @@ class SdfReader:
                 raise WorldError("<scale> of a <mesh> must not be zero.")
             for part in self._meshes[real]:
                 about = f"{part.name} {path.stem} {part.about}"
-                colours = part.colours if colour is None else colour
-                texture = part.texture if colour is None else None
-                yield MeshPart.from_triangles(
-                    name, part.vertices, part.faces, colours, about, ground=None, solid=solid, texture=texture
-                ).transform(matrix @ scale)
+                own = replace(part, name=name, about=about, ground=None, solid=solid)
+                if colour is not None:
+                    colours = np.broadcast_to(np.array(colour, np.float32), part.colours.shape)
+                    own = replace(own, colours=np.ascontiguousarray(colours), texture=None)
+                yield own.transform(matrix @ scale)
         else:
             self._report.warn(f"<{printable(shape.tag, 40)}> as a shape is not supported and left out")
 
@@ -276,9 +267,8 @@ class SdfReader:
         offset[:3, 3] = parse_numbers(shape.find("pos"), 3, (0, 0, 0))
         if not ((size > 0) & (size < 1e5)).all():
             raise WorldError("<size> of a <heightmap> must be above 0.")
-        self._contents.height_maps.append(
-            SdfHeightMap(found[0], size, matrix @ offset, colour, picture, tile_m)
-        )
+        height_map = SdfHeightMap(found[0], size, matrix @ offset, colour, picture, tile_m)
+        self._contents.height_maps.append(height_map)
 
     def _visual_colour(self, visual: Element, folder: WorldFiles) -> Colour | None:
         """The colour of a visual's material; None if it has none, so that a mesh keeps its own."""
@@ -288,12 +278,10 @@ class SdfReader:
         picture = self._read_picture((material.findtext("pbr/metal/albedo_map") or "").strip(), folder)
         colour = None if picture is None else mean_colour(picture)
         if colour is None and material.find("diffuse") is not None:
-            words = (material.findtext("diffuse") or "").split()[:4]
-            try:
-                red, green, blue = (min(max(float(word), 0.0), 1.0) for word in words[:3])
-                colour = (red, green, blue)
-            except ValueError:
-                self._report.warn(f"<diffuse> {printable(' '.join(words), 40)!r} is no colour")
+            text = " ".join((material.findtext("diffuse") or "").split()[:4])
+            colour = parse_colour(text)
+            if colour is None:
+                self._report.warn(f"<diffuse> {printable(text, 40)!r} is no colour")
         script = material.findtext("script/name")
         if colour is None and script:
             self._report.warn("material scripts are not supported; their colours are guessed by name")
@@ -314,17 +302,17 @@ class SdfReader:
             self._report.warn(f"{printable(uri)} is left out: {first_line(error)}")
             return None
 
-    def _read_light(self, element: Element, matrix: Array) -> None:
-        if element.get("type") != "directional":
-            self._report.warn(
-                f"lights of type {printable(element.get('type') or 'none', 20)!r} are left out; "
-                "the sun is kept"
-            )
-            return
-        if self._contents.light is not None:
+    def _read_light_or_warn(self, element: Element, matrix: Array) -> None:
+        kind = element.get("type") or "none"
+        if element.tag != "light":
+            if element.tag not in _IGNORED:
+                self._report.warn(f"<{printable(element.tag, 40)}> is not supported and left out")
+        elif kind != "directional":
+            self._report.warn(f"lights of type {printable(kind, 20)!r} are left out; the sun is kept")
+        elif self._contents.light is not None:
             self._report.warn("has several directional lights; the first is the sun")
-            return
-        self._contents.light = parse_sun(element, (matrix @ self._pose(element))[:3, :3], self._report)
+        else:
+            self._contents.light = parse_sun(element, (matrix @ self._pose(element))[:3, :3], self._report)
 
 
 def mean_colour(picture: Bytes) -> Colour:
@@ -335,11 +323,3 @@ def mean_colour(picture: Bytes) -> Colour:
 
 def _path(name: str, own: str) -> str:
     return printable("/".join(word for word in (name, own) if word))
-
-
-def _friction(collision: Element) -> float | None:
-    for way in ("ode/mu", "bullet/friction"):
-        found = collision.find(f"surface/friction/{way}")
-        if found is not None:
-            return float(parse_numbers(found, 1, (1.0,))[0])
-    return None
