@@ -51,10 +51,8 @@ def load_collada_parts(
         reader = _Reader(name, folder, report)
         parts = [part for node in document.scene.nodes for part in reader.parts(node, np.eye(4), "", 0)]
     if document.errors:
-        report.warn(
-            f"{len(document.errors)} elements in it are not supported, "
-            f"such as: {first_line(document.errors[0])}"
-        )
+        first = first_line(document.errors[0])
+        report.warn(f"{len(document.errors)} elements in it are not supported, such as: {first}")
     unit = 1.0 if unit is None else float(unit)
     if not 1e-6 <= unit <= 1e6:
         raise WorldError(f"{name} states a unit of {unit} m: set world.unit_m to the length of its unit.")
@@ -106,14 +104,9 @@ class _Reader:
             material = materials.get(primitive.material)
             about = printable(str(getattr(material, "name", None) or primitive.material or ""))
             colours, texture = self._colours(primitive, material)
-            yield MeshPart.from_triangles(
-                printable(name or str(node.geometry.name)),
-                primitive.vertex,
-                primitive.vertex_index,
-                colours,
-                about,
-                texture=texture,
-            ).transform(matrix)
+            mesh = primitive.vertex, primitive.vertex_index, colours
+            own = printable(name or str(node.geometry.name))
+            yield MeshPart.from_triangles(own, *mesh, about, texture=texture).transform(matrix)
 
     def _count(self, faces: int) -> None:
         self._faces += faces
@@ -144,10 +137,9 @@ class _Reader:
             if picture in self._pictures:
                 return self._pictures[picture]
             try:
-                found = self._pictures[picture] = self._report.limit_texture(
-                    read_image(self._folder.read(picture))
-                )
-                return found
+                image = read_image(self._folder.read(picture))
+                self._pictures[picture] = self._report.limit_texture(image)
+                return self._pictures[picture]
             except FileNotFoundError:
                 self._report.warn(f"{printable(picture)} is missing; its faces have a plain colour")
             except WorldError as error:

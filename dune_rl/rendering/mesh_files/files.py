@@ -25,7 +25,6 @@ from dune_rl.core.untrusted_files import (
     read_bytes,
     reading,
 )
-from dune_rl.geometry.arrays import Floats
 from dune_rl.rendering.mesh_files.collada import load_collada_parts
 from dune_rl.rendering.mesh_files.parts import MeshPart, drop_faulty_triangles, frame_hints, mean_face_colours
 from dune_rl.rendering.mesh_texture import MeshTexture
@@ -35,8 +34,10 @@ Pictures = dict[tuple[float, ...], Bytes]
 
 FORMATS = (".dae", ".obj", ".stl", ".ply", ".glb")
 
-# Transform from y up to z up, which keeps x.
+# Transform from y up to z up, which keeps x; and from each axis up.
 Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+_X_TO_Y = np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+_TO_Z_UP = {"x": Y_UP @ _X_TO_Y, "y": Y_UP, "z": np.eye(4)}
 _MOST_NODES = 20_000
 # Bytes of a number in a glTF accessor by component type, and numbers of an item by type.
 _NUMBER_BYTES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
@@ -72,19 +73,14 @@ def load_mesh_parts(
     parts = [part for part in parts if len(part.faces)]
     if sum(len(part.faces) for part in parts) > MAX_FACES:
         raise WorldError(f"{path} has more than {MAX_FACES:,} triangles: reduce it, or cut out a piece.")
-    matrix = np.eye(4)
-    turn = up if up is not None else own_up
-    if turn == "y" or (turn is None and kind == ".glb"):
-        matrix = Y_UP.copy()
-    elif turn == "x":
-        matrix = np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
-        matrix = Y_UP @ matrix
-    matrix[:3] *= unit_m if unit_m is not None else own_unit
+    turn = up or own_up or ("y" if kind == ".glb" else "z")
+    unit = unit_m if unit_m is not None else own_unit
+    matrix = _TO_Z_UP[turn].copy()
+    matrix[:3] *= unit
     kept = drop_faulty_triangles([part.transform(matrix) for part in parts], report)
     if not kept:
         raise WorldError(f"{path} has no triangles that can be used: export it with its faces.")
-    is_y_up = turn == "y" or (turn is None and kind == ".glb")
-    report.hints |= frame_hints(kept, unit_m if unit_m is not None else own_unit, is_y_up)
+    report.hints |= frame_hints(kept, unit, is_y_up=turn == "y")
     return kept
 
 
@@ -96,19 +92,16 @@ class _FolderResolver(Resolver):
     def get(self, key: str) -> bytes:
         try:
             data = self._folder.read(key)
+            if not key.lower().endswith((".mtl", ".bin")):
+                open_image(data)
+            return data
         except FileNotFoundError:
             self._report.warn(f"{printable(key)} is missing; its faces have a plain colour")
-            raise
         except WorldError as error:
             self._report.warn(str(error).splitlines()[0])
-            raise FileNotFoundError(key) from None
-        if not key.lower().endswith((".mtl", ".bin")):
-            try:
-                open_image(data)
-            except ValueError as error:
-                self._report.warn(f"{printable(key)} is left out: {error}")
-                raise FileNotFoundError(key) from None
-        return data
+        except ValueError as error:
+            self._report.warn(f"{printable(key)} is left out: {error}")
+        raise FileNotFoundError(key)
 
     def keys(self) -> list[str]:
         return []
@@ -146,48 +139,42 @@ def _parts(scene: Any, kind: str, report: ImportReport) -> Iterator[MeshPart]:
             raise WorldError(f"it has more than {MAX_FACES:,} triangles: reduce it, or cut out a piece.")
         own_name = str(mesh.metadata.get("name") or geometry)
         name = str(node) if kind == ".glb" else own_name
-        colours, about, texture = _colours(mesh, pictures, report)
-        part = MeshPart.from_triangles(
-            printable(name), mesh.vertices, faces, colours, f"{own_name} {printable(about)}", texture=texture
-        )
+        colours, material, texture = _colours(mesh, pictures, report)
+        shape, about = (mesh.vertices, faces, colours), f"{own_name} {printable(material)}"
+        part = MeshPart.from_triangles(printable(name), *shape, about, texture=texture)
         yield part.transform(np.asarray(matrix, np.float64))
 
 
 def _colours(mesh: Any, pictures: Pictures, report: ImportReport) -> tuple[Any, str, MeshTexture | None]:
     """Colours, None to guess them; the material's name; and the texture."""
     visual = mesh.visual
-    if visual.kind == "texture":
-        material = visual.material
-        name = str(getattr(material, "name", None) or "")
-        factor = getattr(material, "baseColorFactor", None)
-        if factor is None and getattr(material, "_data", None) is None and "diffuse" in vars(material):
-            factor = material.diffuse
-        tint = None if factor is None else np.asarray(factor, np.float32)[:3] / 255.0
-        image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
-        if image is not None and visual.uv is not None and len(visual.uv) == len(mesh.vertices):
-            tinted = tint is not None and hasattr(material, "baseColorFactor")
-            shades = np.clip(tint, 0.0, 1.0) if tinted and tint is not None else np.ones(3, np.float32)
-            try:
-                picture = _tint_picture(image, shades, pictures, report)
-            except ValueError as error:
-                report.warn(f"the texture of {printable(name)!r} is left out: {error}")
-            else:
-                uv = np.asarray(visual.uv, np.float64)[mesh.faces]
-                corners = np.asarray(mesh.vertices, np.float64)[mesh.faces]
-                return mean_face_colours(picture, uv), name, MeshTexture.from_uv(picture, corners, uv)
-        has_default = tint is None or np.allclose(tint, 0.4, atol=0.01) or np.allclose(tint, 1.0)
-        return (None if has_default else tint), name, None
     if visual.kind in ("vertex", "face"):
         return np.asarray(visual.face_colors, np.float32)[:, :3] / 255.0, "", None
-    return None, "", None
-
-
-def _tint_picture(image: Any, shades: Floats, pictures: Pictures, report: ImportReport) -> Bytes:
-    """An image as bytes, multiplied by `shades` (3,); equal ones are shared through `pictures`."""
-    key = (id(image), *shades.tolist())
-    if key not in pictures:
-        pictures[key] = report.limit_texture((downscale_image(image) * shades + 0.5).astype(np.uint8))
-    return pictures[key]
+    if visual.kind != "texture":
+        return None, "", None
+    material = visual.material
+    name = str(getattr(material, "name", None) or "")
+    factor = getattr(material, "baseColorFactor", None)
+    is_tinted = factor is not None
+    if factor is None and getattr(material, "_data", None) is None and "diffuse" in vars(material):
+        factor = material.diffuse
+    tint = None if factor is None else np.asarray(factor, np.float32)[:3] / 255.0
+    image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
+    if image is not None and visual.uv is not None and len(visual.uv) == len(mesh.vertices):
+        shades = np.clip(tint, 0.0, 1.0) if is_tinted and tint is not None else np.ones(3, np.float32)
+        # Equal pictures are shared.
+        key = (id(image), *shades.tolist())
+        try:
+            if key not in pictures:
+                pictures[key] = report.limit_texture((downscale_image(image) * shades + 0.5).astype(np.uint8))
+        except ValueError as error:
+            report.warn(f"the texture of {printable(name)!r} is left out: {error}")
+        else:
+            uv = np.asarray(visual.uv, np.float64)[mesh.faces]
+            corners = np.asarray(mesh.vertices, np.float64)[mesh.faces]
+            return mean_face_colours(pictures[key], uv), name, MeshTexture.from_uv(pictures[key], corners, uv)
+    has_default = tint is None or np.allclose(tint, 0.4, atol=0.01) or np.allclose(tint, 1.0)
+    return (None if has_default else tint), name, None
 
 
 def _check_stl(data: bytes, name: str) -> None:
@@ -247,25 +234,13 @@ def _check_glb(data: bytes, name: str) -> None:
         if len(nodes) > _MOST_NODES or len(set(children)) != len(children):
             raise ValueError(f"its nodes are no tree, or more than {_MOST_NODES:,}")
         _refuse_loops([node.get("children", []) for node in nodes])
-        for node in nodes:
-            numbers_of = [
-                x for key in ("matrix", "translation", "rotation", "scale") for x in node.get(key, ())
-            ]
-            if not all(math.isfinite(x) for x in numbers_of):
-                raise ValueError("a node's pose is not finite")
+        keys = ("matrix", "translation", "rotation", "scale")
+        if not all(math.isfinite(x) for node in nodes for key in keys for x in node.get(key, ())):
+            raise ValueError("a node's pose is not finite")
         _refuse_many_instances(header)
-    except (
-        KeyError,
-        IndexError,
-        TypeError,
-        ValueError,
-        AttributeError,
-        struct.error,
-        RecursionError,
-    ) as error:
-        raise WorldError(
-            f"{name} is no GLB mesh that can be read ({first_line(error)}): export it again."
-        ) from None
+    except (LookupError, TypeError, ValueError, AttributeError, struct.error, RecursionError) as error:
+        fault = f"is no GLB mesh that can be read ({first_line(error)}): export it again."
+        raise WorldError(f"{name} {fault}") from None
 
 
 def _refuse_loops(children: list[list[int]]) -> None:
@@ -280,14 +255,10 @@ def _refuse_loops(children: list[list[int]]) -> None:
 
 def _refuse_many_instances(header: dict[str, Any]) -> None:
     # A small mesh that many nodes refer to has many triangles.
-    accessors = header.get("accessors", [])
-    sizes = []
+    accessors, sizes = header.get("accessors", []), []
     for mesh in header.get("meshes", []):
-        items = 0
-        for primitive in mesh["primitives"]:
-            counted = primitive.get("indices", primitive["attributes"].get("POSITION", 0))
-            items += int(accessors[counted]["count"]) // 3 if accessors else 0
-        sizes.append(items)
+        counted = [each.get("indices", each["attributes"].get("POSITION", 0)) for each in mesh["primitives"]]
+        sizes.append(sum(int(accessors[index]["count"]) // 3 for index in counted if accessors))
     total = sum(sizes[node["mesh"]] for node in header.get("nodes", []) if "mesh" in node)
     if total > MAX_FACES:
         raise ValueError(f"it has more than {MAX_FACES:,} triangles")

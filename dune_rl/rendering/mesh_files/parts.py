@@ -110,13 +110,8 @@ class MeshPart:
         )
 
     @property
-    def words(self) -> set[str]:
-        """The words of `name` and `about`, in lower case."""
-        return set(_words(f"{self.name} {self.about}"))
-
-    @property
     def is_named_water(self) -> bool:
-        return bool(self.words & _WATER)
+        return not _WATER.isdisjoint(_words(f"{self.name} {self.about}"))
 
     @property
     def kind(self) -> str:
@@ -127,16 +122,12 @@ class MeshPart:
             words = [w for w in dict.fromkeys(_words(text)) if w not in _MEANINGLESS and len(w) > 1]
             if words:
                 return " ".join(words[:2])
-        return "wall" if _is_thin_and_upright(self.vertices) else "obstacle"
-
-
-def _is_thin_and_upright(vertices: Array) -> bool:
-    """Whether points (V, 3) span the shape of a piece of wall."""
-    if len(vertices) < 3:
-        return False
-    across = vertices[:, :2] - vertices[:, :2].mean(axis=0)
-    length, width = np.ptp(across @ np.linalg.svd(across, full_matrices=False)[2].T, axis=0)
-    return bool(width < _WALL_M and length > 3.0 * width and np.ptp(vertices[:, 2]) > width)
+        if len(self.vertices) < 3:
+            return "obstacle"
+        across = self.vertices[:, :2] - self.vertices[:, :2].mean(axis=0)
+        length, width = np.ptp(across @ np.linalg.svd(across, full_matrices=False)[2].T, axis=0)
+        is_wall = width < _WALL_M and length > 3.0 * width and np.ptp(self.vertices[:, 2]) > width
+        return "wall" if is_wall else "obstacle"
 
 
 def guess_colour(text: str) -> tuple[float, float, float]:
@@ -206,8 +197,7 @@ def frame_hints(parts: Sequence[MeshPart], unit_m: float, is_y_up: bool) -> dict
 
     They were read with `unit_m`, and as y up or z up.
     """
-    vertices = np.concatenate([part.vertices for part in parts])
-    size = np.ptp(vertices, axis=0)
+    size = np.ptp(np.concatenate([part.vertices for part in parts]), axis=0)
     hints = {"unit": _unit_hint(size, unit_m), "axis": _axis_hint(parts, size, is_y_up)}
     return {about: hint for about, hint in hints.items() if hint}
 
@@ -219,7 +209,8 @@ def has_usual_size(extent: tuple[float, float, float, float]) -> bool:
 
 def _unit_hint(size: Array, unit_m: float) -> str:
     largest = float(size.max())
-    said = f"it is {_metres(size[0])} by {_metres(size[1])} by {_metres(size[2])} m"
+    sides = " by ".join(f"{side:,.0f}" if side >= 10.0 else f"{side:.2g}" for side in size)
+    said = f"it is {sides} m"
     if largest > _LARGE_M:
         units = [
             f"world.unit_m={unit_m * factor:g} if the file's unit is a {name}"
@@ -230,10 +221,6 @@ def _unit_hint(size: Array, unit_m: float) -> str:
     if largest < _SMALL_M:
         return f"{said}: if that is too small, try world.unit_m={unit_m * 1000.0:g}"
     return ""
-
-
-def _metres(length: float) -> str:
-    return f"{length:,.0f}" if length >= 10.0 else f"{length:.2g}"
 
 
 def _axis_hint(parts: Sequence[MeshPart], size: Array, is_y_up: bool) -> str:

@@ -165,7 +165,7 @@ def _is_vault(corners: Array, centre: dict[int, Array], number: int) -> bool:
 
 
 class _Probes(NamedTuple):
-    """Points on the rims of surfaces: positions, surface numbers, lengths of rim [m], and outward directions."""
+    """Points on the rims of surfaces: positions, surfaces, lengths of rim [m], and outward directions."""
 
     at: Array
     surface: NDArray[np.int64]
