@@ -65,7 +65,9 @@ class Destinations:
         self._since_nearer_s = np.where(nearer | self._arrived, 0.0, self._since_nearer_s + step_s)
         arrives = ~fresh & ~self._arrived & (distance < near_m)
         for row in np.flatnonzero(arrives).tolist():
-            self._pause_left_s[row] = self._pause(group, row)
+            self._pause_left_s[row] = 0.0
+            if self._pause_s[1] > 0.0:
+                self._pause_left_s[row] = draws_of(f"{self._name} pause", group, row).uniform(*self._pause_s)
         self._pause_left_s = np.maximum(self._pause_left_s - step_s * self._arrived, 0.0)
         self._arrived = self._arrived | arrives
         leaves = self._arrived & (self._pause_left_s <= 0.0)
@@ -74,12 +76,6 @@ class Destinations:
         if chooses.any():
             self._choose(np.flatnonzero(chooses), state, group, reach_m, ~fresh)
         return self._arrived
-
-    def _pause(self, group: GroupState, row: int) -> float:
-        shortest, longest = self._pause_s
-        if longest <= 0.0:
-            return 0.0
-        return float(draws_of(f"{self._name} pause", group, row).uniform(shortest, longest))
 
     def _choose(
         self, rows: NDArray[np.int64], state: State, group: GroupState, reach_m: float, advances: Flags

@@ -36,20 +36,14 @@ class GoToGoal:
 
     def act(self, state: State, group: GroupState) -> Array:
         """Head for the goal."""
-        bearing = group.goal.bearing
-        least = _TURNING_SHARE if group.body.turning_radius_m else 0.0
-        speed = self._speed_mps * np.maximum(np.cos(bearing), least)
-        if group.body.turning_radius_m:
-            share = _distance_from_curve(group)
+        bearing, distance = group.goal.bearing, group.goal.distance
+        radius, rear = group.body.turning_radius_m, group.body.rear_axle_m
+        speed = self._speed_mps * np.maximum(np.cos(bearing), _TURNING_SHARE if radius else 0.0)
+        if radius:
+            # Distances of the goals from the middles of the tightest curves towards them, over their radius.
+            ahead = distance * np.cos(bearing) + rear
+            aside = distance * np.abs(np.sin(bearing)) - radius
+            share = np.hypot(ahead, aside) / np.hypot(radius, rear)
             self._turns = np.where(self._turns, share >= _INSIDE, share >= _OUTSIDE)
             bearing = np.where(self._turns, bearing, 0.0)
         return np.stack([speed, bearing], axis=1)
-
-
-def _distance_from_curve(group: GroupState) -> Array:
-    """Distances (N,) of the goals from the middles of the tightest curves towards them, over their radius."""
-    goal, radius, rear = group.goal, group.body.turning_radius_m, group.body.rear_axle_m
-    ahead = goal.distance * np.cos(goal.bearing) + rear
-    aside = goal.distance * np.abs(np.sin(goal.bearing)) - radius
-    share: Array = np.hypot(ahead, aside) / np.hypot(radius, rear)
-    return share

@@ -23,11 +23,6 @@ _PARALLEL = 1e-9
 
 
 @compile_function
-def _cross(a: Any, b: Any) -> float:
-    return a[0] * b[1] - a[1] * b[0]
-
-
-@compile_function
 def _move_on_border(planes: Any, number: int, limit: float, aim: Any, is_direction: bool, found: Any) -> bool:
     """Set `found` (2,) to the best velocity on the border of a half-plane within those before it.
 

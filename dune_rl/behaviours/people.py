@@ -91,7 +91,12 @@ class ReactingPeople(DestinedBehaviour):
         sees = (distance < self._notice_m) & (bearing < _HALF_VIEW_RAD)
         keeps = self._notices & ~self._fresh & (distance < _KEEPS * self._notice_m)
         self._notices = notices = sees | keeps
-        reacts = notices & self._is_engaged(notices, group.episode.step_s)
+        step_s = group.episode.step_s
+        self._unseen_s = np.where(notices | self._fresh, 0.0, self._unseen_s + step_s)
+        starts = self._fresh | (self._unseen_s > _FORGETS_S)
+        self._reacts_s = np.where(starts, 0.0, self._reacts_s + step_s * notices)
+        # The reaction to the present robot ends after a while.
+        reacts = notices & (self._reacts_s < _LASTS_S)
         looks = np.zeros(len(here), bool)
         push = np.zeros((len(here), 2))
         match self._reaction:
@@ -119,14 +124,6 @@ class ReactingPeople(DestinedBehaviour):
                 target_w = np.where(reacts[:, None], block, target_w)
         self.face(looks, place, group)
         return Response(target_w, speed_mps, looks, push)
-
-    def _is_engaged(self, notices: Flags, step_s: float) -> Flags:
-        """Flags (N,) of people whose reaction to the present robot has not ended yet."""
-        unseen = np.where(notices | self._fresh, 0.0, self._unseen_s + step_s)
-        starts = self._fresh | (unseen > _FORGETS_S)
-        self._reacts_s = np.where(starts, 0.0, self._reacts_s + step_s * notices)
-        self._unseen_s = unseen
-        return self._reacts_s < _LASTS_S
 
 
 class Orca(ReactingPeople):

@@ -13,7 +13,7 @@ from dune_rl.state.state import GroupState, State
 class Behaviour(Protocol):
     """What decides for N agents of a group that no policy of the user drives.
 
-    A behaviour that has `bind` is bound to its group first (`ContextBehaviour`). Where its class has the
+    A behaviour that has `bind` is bound to its group first (`BoundBehaviour`). Where its class has the
     attribute `reads_sensors`, and it is True, the group observes as an external one does. The attribute
     `motion_models` of a class has the models of motion of the bodies that it can move; without it, all.
     """

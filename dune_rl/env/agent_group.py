@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dune_rl.behaviours.drivers.context import ContextBehaviour, DriverContext
+from dune_rl.behaviours.drivers.context import DriverContext
 from dune_rl.behaviours.paths.follower import PathConf
 from dune_rl.bodies.settings import BodySettings
 from dune_rl.core.errors import ConfigError
@@ -156,7 +156,8 @@ class AgentGroup:
 
     def bind(self, behaviour: object, name: str) -> None:
         """Bind a behaviour to the group if it wants that; raises ConfigError if it cannot drive here."""
-        if not isinstance(behaviour, ContextBehaviour):
+        bind = getattr(behaviour, "bind", None)
+        if bind is None:
             return
         if self.action_size != _SPEED_AND_HEADING:
             raise ConfigError(
@@ -164,7 +165,7 @@ class AgentGroup:
                 f"action has {self.action_size} components; choose another robot.action"
             )
         lidar = None if self.suite is None else self.suite.settings_of("lidar")
-        behaviour.bind(DriverContext(self.name, self.body.vehicle(), lidar, self.observe))
+        bind(DriverContext(self.name, self.body.vehicle(), lidar, self.observe))
 
     @property
     def is_external(self) -> bool:

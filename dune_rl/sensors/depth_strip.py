@@ -63,7 +63,6 @@ class DepthStrip(VectorSensor):
         super().__init__(name, context.num_rows, np.zeros_like(high), high)
 
     def measure(self, now: GroupState, state: State) -> None:
-        """Look from where the rovers are."""
         self._reading = self.depths(now.motion.position_w, now.motion.rotation, now.neighbours)
 
     def depths(self, position_w: Array, rotation: Array, neighbours: Array) -> Floats:

@@ -73,7 +73,6 @@ class HeightScan(VectorSensor):
         super().__init__(name, context.num_rows, -highest, highest)
 
     def measure(self, now: GroupState, state: State) -> None:
-        """Scan from where the rovers are."""
         self._reading = self.heights(now.motion.position_w, now.motion.roll_pitch_yaw[:, 2])
 
     def points(self, position_w: Array, yaw: Array) -> Array:

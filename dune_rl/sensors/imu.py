@@ -124,7 +124,6 @@ class ImuSensor(VectorSensor):
         self._take(now)
 
     def measure(self, now: GroupState, state: State) -> None:
-        """Measure the control step that has just ended."""
         self._imu.measure(now.motion.rotation, now.motion.velocity_w, now.motion.angular_w, self._step_s)
         self._take(now)
 

@@ -117,7 +117,6 @@ class LidarSensor(VectorSensor):
         self.ranges: Floats = np.zeros((context.num_rows, conf.n_beams), np.float32)
 
     def measure(self, now: GroupState, state: State) -> None:
-        """Scan once more."""
         self.ranges = self.lidar.ranges(now.motion.position_w, now.motion.rotation, now.neighbours)
         for effect in self._effects:
             self.ranges = effect.applied(self.ranges, now)

@@ -114,7 +114,6 @@ class NearestAgent(VectorSensor):
         super().__init__(name, context.num_rows, [0.0, -PI32, -fast, -fast], [far, PI32, fast, fast])
 
     def measure(self, now: GroupState, state: State) -> None:
-        """Find the nearest agent of each row and read its motion."""
         reading = np.zeros((len(self._reading), 4), np.float32)
         names = self._groups or tuple(name for name in state.groups if name != now.name)
         others = sense_agents(names, now, state)
@@ -172,7 +171,6 @@ class Neighbours(VectorSensor):
         super().__init__(name, context.num_rows, low, high)
 
     def measure(self, now: GroupState, state: State) -> None:
-        """List the agents of each row."""
         names = self._conf.groups or tuple(state.groups)
         others = sense_agents(names, now, state)
         number = min(self._conf.number, others.present.shape[1])

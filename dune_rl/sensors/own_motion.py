@@ -52,7 +52,6 @@ class Velocity(VectorSensor):
         super().__init__(name, context.num_rows, -_HIGHEST, _HIGHEST)
 
     def measure(self, now: GroupState, state: State) -> None:
-        """Read the present motion."""
         values = np.empty((len(self._reading), 2), np.float32)
         values[:, 0] = now.motion.velocity_b[:, 0]
         values[:, 1] = now.motion.angular_b[:, 2]
@@ -71,7 +70,6 @@ class EstimatedVelocity(VectorSensor):
         self._speed, self._imu = speed, imu
 
     def measure(self, now: GroupState, state: State) -> None:
-        """Take both from the latest readings."""
         speed = self._speed.read()
         ahead = speed["odometry"][:, _ODOMETRY_SPEED] if "odometry" in speed else speed["velocity"][:, 0]
         self._store(np.stack([ahead, self._imu.read()["imu"][:, 5]], axis=1))
@@ -88,7 +86,6 @@ class PlanarVelocity(VectorSensor):
         super().__init__(name, context.num_rows, -highest, highest)
 
     def measure(self, now: GroupState, state: State) -> None:
-        """Read the present motion."""
         self._store(heading_frame(now.motion.velocity_w, now.motion.yaw))
 
 
@@ -150,7 +147,6 @@ class Position(VectorSensor):
         self._take(now)
 
     def measure(self, now: GroupState, state: State) -> None:
-        """Take the present pose, with an error that has moved on."""
         if self._drifts:
             self._drift = self._kept * self._drift + self._renewed * self._spread * draw(
                 normal, now.episode, self._drift_name, 3
@@ -182,7 +178,6 @@ class Goal(VectorSensor):
         self._navigation = context.navigation if conf.realism is None else None
 
     def measure(self, now: GroupState, state: State) -> None:
-        """Read the present goal."""
         distance, bearing = now.goal.distance, now.goal.bearing
         if self._navigation is not None:
             offset = now.goal.position_w - self._navigation.receiver_position()

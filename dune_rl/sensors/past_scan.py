@@ -94,7 +94,6 @@ class LidarPast(VectorSensor):
         self._take(now, mask)
 
     def measure(self, now: GroupState, state: State) -> None:
-        """Take the LiDAR's latest scan, and look at an older one."""
         self._take(now, None)
 
     def _take(self, now: GroupState, begun: Flags | None) -> None:

@@ -71,7 +71,6 @@ class FunctionSensor(VectorSensor):
         self._function, self._params, self._origin = function, dict(params), origin
 
     def measure(self, now: GroupState, state: State) -> None:
-        """Call the function."""
         values = np.asarray(self._function(state, now, **self._params), np.float32)
         shape = self._reading.shape
         if values.shape != shape and not (shape[1] == 1 and values.shape == shape[:1]):

@@ -85,7 +85,6 @@ class Encoders(VectorSensor):
         self._reading[mask] = 0.0
 
     def measure(self, now: GroupState, state: State) -> None:
-        """Count the control step that has just ended."""
         turned = self._counter.turned(joints_of(now).angle)
         self._store(np.concatenate([turned, turned / self._step_s], axis=1))
 
@@ -184,7 +183,6 @@ class Odometry(VectorSensor):
         self._reading[mask] = 0.0
 
     def measure(self, now: GroupState, state: State) -> None:
-        """Go on by the wheels' turns over the control step that has just ended."""
         angle = joints_of(now).angle
         motion = self._geometry.motion(self._counter.turned(angle), angle)
         ahead, turn = motion[:, 0], motion[:, 1]
@@ -237,7 +235,6 @@ class Currents(VectorSensor):
         super().__init__(name, context.num_rows, -highest, highest)
 
     def measure(self, now: GroupState, state: State) -> None:
-        """Take the present torques."""
         joints, wheels = joints_of(now), self._num_wheels
         torque = joints.torque[:, :wheels]
         driving = torque * joints.speed[:, :wheels] > 0.0

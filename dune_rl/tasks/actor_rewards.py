@@ -146,7 +146,7 @@ class _JudgedContact(ABC):
 
     def __call__(self, state: State, group: GroupState) -> Array:
         """Values (N,); to be called once a control step."""
-        robots, counts = self._robots_of(state, group)
+        robots = robots_of(state, group)
         rows, count = len(group.done), robots.active.shape[1]
         position = group.by_scene(group.motion.position_w[:, :2])
         towards, _ = unit_vectors(robots.position_w[:, None] - position[:, :, None])
@@ -163,7 +163,14 @@ class _JudgedContact(ABC):
             return np.zeros(rows)
         nearest, _ = _nearest(position, robots._replace(active=np.ones_like(robots.active)))
         chosen = np.arange(rows), nearest.reshape(-1)
-        touches = touching & counts[nearest.reshape(-1)]
+        # An agent may touch any robot, of which those of the chosen groups count.
+        counts = [
+            not self._groups or name in self._groups
+            for name, other in state.groups.items()
+            if name != group.name and other.body.is_robot
+            for _ in range(other.count)
+        ]
+        touches = touching & np.array(counts or [False], bool)[nearest.reshape(-1)]
         value = self._judge(most_own[chosen], most_theirs[chosen], begins)
         return np.where(touches, value, 0.0)
 
@@ -171,16 +178,6 @@ class _JudgedContact(ABC):
     def _judge(self, own: Array, theirs: Array, begins: Flags) -> Array:
         """Values (N,) at closing speeds `own` and `theirs` (N,) [m/s]; `begins` marks new contacts."""
         ...
-
-    def _robots_of(self, state: State, group: GroupState) -> tuple[Robots, Flags]:
-        """All robots, of which an agent may touch any, and flags (R,) of those that count."""
-        counts = [
-            not self._groups or name in self._groups
-            for name, other in state.groups.items()
-            if name != group.name and other.body.is_robot
-            for _ in range(other.count)
-        ]
-        return robots_of(state, group), np.array(counts or [False], bool)
 
 
 class RanIntoRobot(_JudgedContact):

@@ -7,7 +7,7 @@ import numpy as np
 from states import group_state, motion_of
 from yards import yard
 
-from dune_rl.behaviours.drivers.context import ContextBehaviour, DriverContext, Unicycle
+from dune_rl.behaviours.drivers.context import BoundBehaviour, DriverContext, Unicycle
 from dune_rl.behaviours.registry import BEHAVIOURS
 from dune_rl.bodies.person import PersonConf
 from dune_rl.env.kinematic import KinematicBody
@@ -52,7 +52,7 @@ class Stage:
         self.robots = np.broadcast_to(robots, (scenes, *robots.shape[-2:])).copy()
         self.robot_velocity = np.array(robot_velocity, float)
         self.behaviour = BEHAVIOURS.build(BEHAVIOURS.parse_settings(settings), scenes * self.count)
-        if isinstance(self.behaviour, ContextBehaviour):
+        if isinstance(self.behaviour, BoundBehaviour):
             size = 2 * RADIUS_M
             vehicle = Unicycle(0.0, TOP_MPS, 3.0, 1.0 / STEP_S, size, size, RADIUS_M)
             self.behaviour.bind(DriverContext("people", vehicle, None, dict))

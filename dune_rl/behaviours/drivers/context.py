@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.sensors.lidar import LidarConf
@@ -41,22 +40,13 @@ class DriverContext:
     observe: Callable[[], dict[str, Reading]]
 
 
-@runtime_checkable
-class ContextBehaviour(Protocol):
-    """A behaviour that is bound to the group that it drives before its first step."""
-
-    def bind(self, context: DriverContext) -> None:
-        """Take the context; raises ConfigError if it cannot drive there."""
-        ...
-
-
 class BoundBehaviour:
-    """Base of behaviours that need the context of the group that they drive."""
+    """Base of behaviours that need the context of the group that they drive; they are bound to it first."""
 
     _context: DriverContext | None = None
 
     def bind(self, context: DriverContext) -> None:
-        """Set the context."""
+        """Take the context; raises ConfigError if it cannot drive there."""
         self._context = context
 
     @property

@@ -78,7 +78,11 @@ class Planner(BoundBehaviour):
         poses = np.column_stack([motion.position_w[:, :2], motion.yaw])
         twists = np.column_stack([motion.velocity_b[:, 0], motion.angular_b[:, 2]])
         actors = self._actors.estimate(group.neighbours, begins, step_s, self._actor_radius_m)
-        waits = self._is_beside_actor(poses, actors)
+        # With an actor this near, a body may be waiting for it.
+        apart = np.hypot(*np.moveaxis(actors[..., :2] - poses[:, None, :2], -1, 0)).min(
+            axis=1, initial=np.inf
+        )
+        waits = apart < vehicle.footprint_radius_m + self._actor_radius_m + 1.0
         self._plan(state, group, begins | self._recovery.update(poses, waits, vehicle.length_m, step_s))
         reach = vehicle.length_m / _DISCS
         limits = (
@@ -100,12 +104,6 @@ class Planner(BoundBehaviour):
         self._recovery.record_command(chosen[:, 0])
         heading = np.clip(chosen[:, 1] / vehicle.heading_gain_per_s, -np.pi, np.pi)
         return np.column_stack([chosen[:, 0], heading])
-
-    def _is_beside_actor(self, poses: Array, actors: Array) -> Flags:
-        """Flags (N,) of bodies with an actor so near that they may be waiting for it."""
-        apart = np.hypot(*np.moveaxis(actors[..., :2] - poses[:, None, :2], -1, 0))
-        near = apart.min(axis=1, initial=np.inf)
-        return near < self.context.vehicle.footprint_radius_m + self._actor_radius_m + 1.0
 
     def _plan(self, state: State, group: GroupState, anew: Flags) -> None:
         """Plan the routes of the rows in `anew` (N,) and of those whose goals are new, one after another."""

@@ -8,7 +8,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from dune_rl.geometry.arrays import Array, Flags, Floats
+from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.worlds.passage import FreeSpace
 from dune_rl.worlds.world import World
 
@@ -135,9 +135,15 @@ class RouteMap:
         goal, start = np.asarray(goal_xy, np.float64), np.asarray(start_xy, np.float64)
         discs = np.asarray(blocked, np.float64).reshape(-1, 3)
         graph, clearance = self._graph, self.clearance
+        for x, y, radius in discs:
+            apart = np.hypot(self.x - x, self.y[:, None] - y) - radius
+            clearance = np.minimum(clearance, np.maximum(apart, 0.0).astype(np.float32))
         if len(discs):
-            clearance = self._clearance_beside(discs)
-            graph = self._graph_without((clearance < self._narrowest_m).ravel())
+            # Without the edges at cells that are blocked.
+            cells = (clearance < self._narrowest_m).ravel()
+            starts = np.repeat(cells, np.diff(graph.indptr))
+            lengths = np.where(starts | cells[graph.indices], np.inf, graph.data)
+            graph = csr_matrix((lengths, graph.indices, graph.indptr), shape=graph.shape)
         source = int(self._nearest[self.cell_number(goal)])
         begin = int(self._nearest[self.cell_number(start)])
         limit = _REACH * (float(np.hypot(*(goal - start))) + 3.0)
@@ -155,21 +161,6 @@ class RouteMap:
             waypoint[self._nearest].astype(np.int32).reshape(shape),
             np.minimum(clearance, self._beside_steep).astype(np.float32),
         )
-
-    def _clearance_beside(self, discs: Array) -> Floats:
-        """The clearance, with `discs` (B, 3: x, y, radius) as further obstacles."""
-        found = self.clearance.copy()
-        for x, y, radius in discs:
-            apart = np.hypot(self.x - x, self.y[:, None] - y) - radius
-            found = np.minimum(found, np.maximum(apart, 0.0).astype(np.float32))
-        return found
-
-    def _graph_without(self, cells: Flags) -> csr_matrix:
-        """The graph without the edges at `cells` (C,)."""
-        graph = self._graph
-        starts = np.repeat(cells, np.diff(graph.indptr))
-        lengths = np.where(starts | cells[graph.indices], np.inf, graph.data)
-        return csr_matrix((lengths, graph.indices, graph.indptr), shape=graph.shape)
 
 
 def _window(rows: int, columns: int, down: int, right: int, offset: tuple[int, int]) -> tuple[slice, slice]:

@@ -7,7 +7,6 @@ from typing import Literal, NamedTuple, Self
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from dune_rl.behaviours.paths.loops import LoopStops, PathStops, advance_on_paths, hold_back_on_paths
@@ -21,7 +20,7 @@ from dune_rl.behaviours.paths.splines import (
     way_point_stations,
 )
 from dune_rl.core.settings import Settings
-from dune_rl.geometry.arrays import Array, Flags
+from dune_rl.geometry.arrays import Array, Counts, Flags
 from dune_rl.geometry.shared_per_scene import SharedPerScene, query_grouped
 from dune_rl.state.state import GroupState, State
 from dune_rl.worlds.walkable_points import PointWords, TerrainLimits, check_stretches, check_way_points
@@ -77,7 +76,7 @@ class _WorldPaths(NamedTuple):
     """Paths of one world: the loops of all agents of a scene, the indices of each agent's, and stops."""
 
     bank: PathBank
-    choices: tuple[NDArray[np.int64], ...]
+    choices: tuple[Counts, ...]
     stops: LoopStops
 
 
@@ -136,7 +135,7 @@ class PathFollower:
     def _make_paths(self, world: World, sample_points: SamplePoints, rng: np.random.Generator) -> _WorldPaths:
         conf = self.conf
         loops: list[Array] = []
-        choices: list[NDArray[np.int64]] = []
+        choices: list[Counts] = []
         given = [self._path_through_way_points(world)] if conf.waypoints else []
         for agent in range(self.count):
             paths = given
@@ -275,11 +274,11 @@ class PathFollower:
             poses[..., 2] = np.where(self._offsets.any(axis=2), height, poses[..., 2])
         return poses.reshape(-1, 4)
 
-    def targets(self, scenes: NDArray[np.int64]) -> Array:
+    def targets(self, scenes: Counts) -> Array:
         """Where the agents of `scenes` (S,) would be on their paths, (S, G, 4), after the last `advance`."""
         return self._targets[scenes]
 
-    def hold_back(self, scenes: NDArray[np.int64], poses: Array) -> None:
+    def hold_back(self, scenes: Counts, poses: Array) -> None:
         """Set the agents of `scenes` (S,) to `poses` (S, G, 4), to which robots limited them.
 
         An agent repeats the missing part of its step, and returns from a lateral offset to its path.
@@ -291,20 +290,16 @@ class PathFollower:
 
     def renew(self, mask: Flags) -> None:
         """Set the other end of the path as goal of the agents in `mask` (N,)."""
-        outbound = self._outbound ^ mask
-        groups = self._worlds.groups
-        far = query_grouped(groups, self._far_end, self._loop)[..., :2].reshape(-1, 2)
-        near = query_grouped(groups, self._near_end, self._loop)[..., :2].reshape(-1, 2)
-        ends = np.where(outbound[:, None], far, near)
-        self.goals_w = np.where(mask[:, None], ends, self.goals_w)
-        self._outbound = outbound
+        self._outbound = self._outbound ^ mask
+        shape = self._loop.shape
 
-    def _far_end(self, world: World, loop: NDArray[np.int64]) -> Array:
-        return self._paths[world].bank.far_end(loop)
+        def ends(world: World, loop: Counts, outbound: Flags) -> Array:
+            bank = self._paths[world].bank
+            near_w = bank.poses[bank.starts[loop], :2]
+            return np.where(outbound[..., None], bank.far_end(loop)[..., :2], near_w)
 
-    def _near_end(self, world: World, loop: NDArray[np.int64]) -> Array:
-        bank = self._paths[world].bank
-        return bank.poses[bank.starts[loop]]
+        ends_w = query_grouped(self._worlds.groups, ends, self._loop, self._outbound.reshape(shape))
+        self.goals_w = np.where(mask[:, None], ends_w.reshape(-1, 2), self.goals_w)
 
 
 class FollowPath:

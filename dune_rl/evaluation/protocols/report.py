@@ -129,7 +129,13 @@ def run_rows(rows: Sequence[Row], *, ends_at_goals: bool) -> list[dict[str, floa
         columns |= {name: _total(episodes, name) for name in _ALSO_TOTALS if name in episodes[0]}
         if ends_at_goals:
             columns |= _of_finished_episodes([row for row in episodes if row["finished"]])
-        columns |= _over_steps(episodes)
+        if "collisions" in episodes[0]:
+            columns["run_collisions"] = _total(episodes, "collisions")
+        for name in ("clearance", "vertical_roughness", "smoothness"):
+            if name in episodes[0]:
+                columns[f"run_{name}"] = _mean(episodes, name, weight="steps")
+        if "vort" in episodes[0] and "uneven_time" in episodes[0]:
+            columns["run_vort"] = _mean(episodes, "vort", weight="uneven_time")
         columns |= {name: _total(episodes, name) for name in episodes[0] if name.startswith(_CODE)}
         found.append(columns)
     return found
@@ -160,18 +166,6 @@ def _of_finished_episodes(episodes: Sequence[Row]) -> dict[str, float]:
     }
     if "time_to_goal" in episodes[0]:
         found["run_time_to_goal"] = _mean(episodes, "time_to_goal")
-    return found
-
-
-def _over_steps(episodes: Sequence[Row]) -> dict[str, float]:
-    found = {}
-    if "collisions" in episodes[0]:
-        found["run_collisions"] = _total(episodes, "collisions")
-    for name in ("clearance", "vertical_roughness", "smoothness"):
-        if name in episodes[0]:
-            found[f"run_{name}"] = _mean(episodes, name, weight="steps")
-    if "vort" in episodes[0] and "uneven_time" in episodes[0]:
-        found["run_vort"] = _mean(episodes, "vort", weight="uneven_time")
     return found
 
 

@@ -134,7 +134,6 @@ class CameraFaults:
         self._take(rows, now, first=True)
 
     def measure(self, now: GroupState, state: State) -> None:
-        """Look again."""
         self._sensor.measure(now, state)
         self._take(slice(None), now, first=False)
 

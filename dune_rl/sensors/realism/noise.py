@@ -143,18 +143,13 @@ class ImuFaults(Faults):
     def applied(self, reading: Reading, rows: Rows, now: GroupState) -> Reading:
         """What the units in `rows` make of their true `reading` (len(rows), 9)."""
         value = self.noisy(reading, rows, now)
-        turned = self._yaw_rate_error(reading, value[:, _GYROSCOPE] - reading[:, _GYROSCOPE]) * self._period_s
+        roll, pitch = reading[:, _ROLL].astype(np.float64), reading[:, _PITCH].astype(np.float64)
+        _, y, z = (value[:, _GYROSCOPE] - reading[:, _GYROSCOPE]).T
+        cosine = np.cos(pitch)
+        cosine = np.copysign(np.maximum(np.abs(cosine), _LEAST_COSINE), cosine)
+        turned = (y * np.sin(roll) + z * np.cos(roll)) / cosine * self._period_s
         self._drift[rows] += np.where(now.episode.steps[rows] > 0, turned, 0.0)
         drift = self._drift[rows]
         # To wrap rounds: what does not drift keeps its bytes.
         value[:, _YAW] = np.where(drift != 0.0, wrap_angle(value[:, _YAW] + drift), value[:, _YAW])
         return self.limited(value)
-
-    @staticmethod
-    def _yaw_rate_error(reading: Reading, errors: Array) -> Array:
-        roll, pitch = reading[:, _ROLL].astype(np.float64), reading[:, _PITCH].astype(np.float64)
-        _, y, z = errors.T
-        cosine = np.cos(pitch)
-        cosine = np.copysign(np.maximum(np.abs(cosine), _LEAST_COSINE), cosine)
-        rate: Array = (y * np.sin(roll) + z * np.cos(roll)) / cosine
-        return rate

@@ -52,7 +52,11 @@ class RealismConf(Settings):
             return data
         if cls.kind is None:
             raise ValueError(f"preset must be null (got {data['preset']!r}): no parts are known here")
-        return _merged(find_part(data["preset"], cls.kind).settings, data)
+        merged = {**find_part(data["preset"], cls.kind).settings}
+        for name, given in data.items():
+            both = isinstance(given, Mapping) and isinstance(merged.get(name), Mapping)
+            merged[name] = {**merged[name], **given} if both else given
+        return merged
 
     def with_own_faults(self, sensor: Sensor, num_rows: int, step_s: float) -> Sensor:
         """The sensor with faults that are no noise of single entries; itself where there are none."""
@@ -258,12 +262,3 @@ def realistic(sensor: Sensor, conf: RealismConf | None, num_rows: int, step_s: f
     if conf is None:
         return sensor
     return Realism(conf.with_own_faults(sensor, num_rows, step_s), conf, num_rows, step_s)
-
-
-def _merged(part: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
-    """The settings of a part, and those given in their stead."""
-    merged = {**part, **given}
-    for name, settings in part.items():
-        if isinstance(settings, Mapping) and isinstance(given.get(name), Mapping):
-            merged[name] = {**settings, **given[name]}
-    return merged
