@@ -30,36 +30,52 @@ _SLOW_M = 0.8
 _PATROL_RANGE_M = 1_000.0
 
 
-class Destinations:
-    """Targets of N agents: `places` (P, 2) [m] in turn, or random ones, each with a pause on arrival.
+def _rise(state: State, points: Array, scenes: NDArray[np.int64]) -> Array:
+    """Tangent of the ground's slope, (m, ...), at points (m, ..., 2) of `scenes` (m,)."""
+    heights = state.ground.height(points[..., None, :] + _SLOPE_PROBES, scenes)
+    rises = np.stack([heights[..., 0] - heights[..., 1], heights[..., 2] - heights[..., 3]], axis=-1)
+    return np.asarray(np.linalg.norm(rises, axis=-1) / (2.0 * _SLOPE_PROBES[0, 0]))
 
-    Member k of a group begins at place k. Random places are within `range_m` of where the agent started, to
-    the sides; the straight way there is free of obstacles and not steeper than 25 degrees, or the agent goes
-    as far as that. An agent that gets no nearer for 4 s takes the next one. `name` is that of the random
-    stream.
+
+class DestinedBehaviour(SteeredBehaviour):
+    """A behaviour that goes to `places` (P, 2) [m] in turn, or to random ones, and pauses on arrival.
+
+    Robots go to the goals of their task. Member k of a group begins at place k. Random places are within
+    `range_m` of where the agent started, to the sides; the straight way there is free of obstacles and not
+    steeper than 25 degrees, or the agent goes as far as that. An agent that gets no nearer for 4 s takes the
+    next one. `stream_name` is that of the random draws.
     """
 
+    stream_name: str
+
     def __init__(
-        self, num_rows: int, name: str, places: Array, range_m: float, pause_s: tuple[float, float]
+        self,
+        num_rows: int,
+        speed_mps: float,
+        places: Sequence[tuple[float, float]],
+        range_m: float,
+        pause_s: tuple[float, float],
     ) -> None:
-        self._name, self._places, self._range_m, self._pause_s = name, places, range_m, pause_s
-        self.target_w, self._home_w = np.zeros((2, num_rows, 2))
+        super().__init__(num_rows, speed_mps)
+        self._places, self._range_m = np.array(places, float).reshape(-1, 2), range_m
+        self._pause_s = pause_s
+        self._target_w, self._home_w = np.zeros((2, num_rows, 2))
         self._pause_left_s, self._since_nearer_s, self._nearest_m = np.zeros((3, num_rows))
         self._arrived = np.zeros(num_rows, bool)
         self._turn = np.zeros(num_rows, np.int64)
 
-    def update(self, state: State, group: GroupState, fresh: Flags, reach_m: float, near_m: float) -> Flags:
-        """Flags (N,) of agents that pause. Agents within `near_m` of their targets have arrived.
-
-        Episodes of the agents in `fresh` (N,) begin. `reach_m` is the radius of their bodies.
-        """
+    def targets(self, state: State, group: GroupState) -> tuple[Array, Flags]:
+        """Where the agents go now, (N, 2) [m], and which of them pause, (N,)."""
+        if group.body.is_robot:
+            return group.goal.position_w, np.zeros(self._num_rows, bool)
+        fresh, near_m = self._fresh, max(_NEAR_M, self.context.vehicle.turning_radius_m)
         position, step_s = group.motion.position_w[:, :2], group.episode.step_s
         if fresh.any():
             self._home_w = np.where(fresh[:, None], position, self._home_w)
             self._pause_left_s[fresh] = self._since_nearer_s[fresh] = 0.0
             self._arrived = self._arrived & ~fresh
             self._turn = np.where(fresh, np.arange(len(fresh)) % group.count, self._turn)
-        distance = np.hypot(*(self.target_w - position).T)
+        distance = np.hypot(*(self._target_w - position).T)
         nearer = distance < self._nearest_m - _NEARER_M
         self._nearest_m = np.where(nearer, distance, self._nearest_m)
         self._since_nearer_s = np.where(nearer | self._arrived, 0.0, self._since_nearer_s + step_s)
@@ -67,38 +83,36 @@ class Destinations:
         for row in np.flatnonzero(arrives).tolist():
             self._pause_left_s[row] = 0.0
             if self._pause_s[1] > 0.0:
-                self._pause_left_s[row] = draws_of(f"{self._name} pause", group, row).uniform(*self._pause_s)
+                draws = draws_of(f"{self.stream_name} pause", group, row)
+                self._pause_left_s[row] = draws.uniform(*self._pause_s)
         self._pause_left_s = np.maximum(self._pause_left_s - step_s * self._arrived, 0.0)
         self._arrived = self._arrived | arrives
         leaves = self._arrived & (self._pause_left_s <= 0.0)
         gives_up = self._since_nearer_s > _PATIENCE_S
         chooses = (fresh | leaves | gives_up) & ~group.done
         if chooses.any():
-            self._choose(np.flatnonzero(chooses), state, group, reach_m, ~fresh)
-        return self._arrived
+            self._choose(np.flatnonzero(chooses), state, group)
+        return self._target_w, self._arrived
 
-    def _choose(
-        self, rows: NDArray[np.int64], state: State, group: GroupState, reach_m: float, advances: Flags
-    ) -> None:
+    def _choose(self, rows: NDArray[np.int64], state: State, group: GroupState) -> None:
         """Set the targets of `rows` (m,)."""
-        self.target_w = self.target_w.copy()
+        self._target_w = self._target_w.copy()
         position = group.motion.position_w[rows, :2]
         if len(self._places):
-            self._turn[rows] += advances[rows]
-            self.target_w[rows] = self._places[self._turn[rows] % len(self._places)]
+            self._turn[rows] += ~self._fresh[rows]
+            self._target_w[rows] = self._places[self._turn[rows] % len(self._places)]
         else:
-            self.target_w[rows] = self._random_places(rows, state, group, reach_m)
-        self._nearest_m[rows] = np.hypot(*(self.target_w[rows] - position).T)
+            self._target_w[rows] = self._random_places(rows, state, group)
+        self._nearest_m[rows] = np.hypot(*(self._target_w[rows] - position).T)
         self._since_nearer_s[rows] = 0.0
         self._arrived[rows] = False
 
-    def _random_places(
-        self, rows: NDArray[np.int64], state: State, group: GroupState, reach_m: float
-    ) -> Array:
+    def _random_places(self, rows: NDArray[np.int64], state: State, group: GroupState) -> Array:
         """Places (m, 2) [m], straight ahead of which nothing is."""
+        reach_m = group.body.reach_m
         here, scenes = group.motion.position_w[rows, None, :2], rows // group.count
         shares = np.stack(
-            [draws_of(self._name, group, row).random((_CANDIDATES, 2)) for row in rows.tolist()]
+            [draws_of(self.stream_name, group, row).random((_CANDIDATES, 2)) for row in rows.tolist()]
         )
         xmin, xmax, ymin, ymax = state.ground.extents[scenes].T[..., None]
         low, high = np.stack([xmin, ymin], axis=-1), np.stack([xmax, ymax], axis=-1)
@@ -119,42 +133,6 @@ class Destinations:
         every = np.arange(len(rows))
         found: Array = points[every, choice, np.maximum(reached[every, choice], 0)]
         return found
-
-
-def _rise(state: State, points: Array, scenes: NDArray[np.int64]) -> Array:
-    """Tangent of the ground's slope, (m, ...), at points (m, ..., 2) of `scenes` (m,)."""
-    heights = state.ground.height(points[..., None, :] + _SLOPE_PROBES, scenes)
-    rises = np.stack([heights[..., 0] - heights[..., 1], heights[..., 2] - heights[..., 3]], axis=-1)
-    return np.asarray(np.linalg.norm(rises, axis=-1) / (2.0 * _SLOPE_PROBES[0, 0]))
-
-
-class DestinedBehaviour(SteeredBehaviour):
-    """A behaviour that goes to `Destinations`, or, with robots, to the goals of their task.
-
-    `stream_name` is that of its random draws; the other arguments are as in `Destinations`.
-    """
-
-    stream_name: str
-
-    def __init__(
-        self,
-        num_rows: int,
-        speed_mps: float,
-        places: Sequence[tuple[float, float]],
-        range_m: float,
-        pause_s: tuple[float, float],
-    ) -> None:
-        super().__init__(num_rows, speed_mps)
-        places_w = np.array(places, float).reshape(-1, 2)
-        self._destinations = Destinations(num_rows, self.stream_name, places_w, range_m, pause_s)
-
-    def targets(self, state: State, group: GroupState) -> tuple[Array, Flags]:
-        """Where the agents go now, (N, 2) [m], and which of them pause, (N,)."""
-        if group.body.is_robot:
-            return group.goal.position_w, np.zeros(self._num_rows, bool)
-        near_m = max(_NEAR_M, self.context.vehicle.turning_radius_m)
-        pauses = self._destinations.update(state, group, self._fresh, group.body.reach_m, near_m)
-        return self._destinations.target_w, pauses
 
     def want(self, state: State, group: GroupState) -> Array:
         """Straight to the target, and slowly on arrival; not at all in a pause."""

@@ -145,23 +145,21 @@ class BlockRunner:
         self.env.close()
 
 
-class _Emitter:
-    """Emits the episodes of a block as they end; an `EpisodeObserver`."""
+class _Emitter(EpisodeRecorder):
+    """Emits the episodes of a block as they end."""
 
     def __init__(self, runner: BlockRunner, policy: int, emit: Callable[[FinishedEpisode], None]) -> None:
-        self._runner, self._policy, self._emit = runner, policy, emit
-        simulation = runner.env.base_env.simulation
         conf = runner.plan.conf
-        self._recorder = EpisodeRecorder(simulation, steps=conf.steps, actors=conf.actor_steps)
-        self.begin, self.step = self._recorder.begin, self._recorder.step
+        super().__init__(runner.env.base_env.simulation, steps=conf.steps, actors=conf.actor_steps)
+        self._runner, self._policy, self._emit = runner, policy, emit
 
     def finish(self, rows: Mapping[str, list[MetricsRow]]) -> None:
-        self._recorder.finish(rows)
+        super().finish(rows)
         episode = int(next(iter(rows.values()))[0]["episode"])
         by_group = {
             group: [self._runner.record(self._policy, group, row) for row in agents]
             for group, agents in rows.items()
         }
         name = self._runner.plan.sources[self._policy].name
-        steps = [{"policy": name, **step} for step in self._recorder.take_steps()]
+        steps = [{"policy": name, **step} for step in self.take_steps()]
         self._emit(FinishedEpisode(self._policy, episode, by_group, steps))
