@@ -28,7 +28,7 @@ from dune_rl.config.schema import Conf, EnvConf
 from dune_rl.core import paths
 from dune_rl.core.errors import CheckpointError, ConfigError, DuneError
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE, find_checkpoint_file, read_checkpoint_file
-from dune_rl.learning.run.lock import refuse_locked
+from dune_rl.learning.run.locks import check_unused, reserve_cores
 from dune_rl.robots.settings import RobotSettings
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ def run(words: Sequence[str]) -> None:
         from dune_rl.config.group_files import check_group_files
 
         check_group_files(conf)
-        _refuse_used_folder(Path(conf.run_dir))
+        check_unused(Path(conf.run_dir))
     ready = check_sweep(parsed.overrides, folders)
     flags = [word for word in sys.argv[1:] if word not in parsed.overrides]
     _run_hydra([*flags, *ready])
@@ -131,7 +131,6 @@ def _cores_of_a_sweep(conf: Conf, engine: Any) -> Iterator[None]:
         yield
         return
     from dune_rl.learning.collector import available_cores, learner_threads
-    from dune_rl.learning.run.cores import reserve_cores
 
     collector = conf.learning.collector
     needed = collector.processes + (conf.learning.threads or learner_threads(collector))
@@ -159,14 +158,6 @@ def _resume(source: str, overrides: Sequence[str], folders: Sequence[str]) -> No
                 "resume and begin a new run"
             )
     train(conf, resume=checkpoint)
-
-
-def _refuse_used_folder(run_dir: Path) -> None:
-    if (run_dir / CHECKPOINT_FILE).exists():
-        raise CheckpointError(
-            f"{run_dir} already holds a run; continue it with resume={run_dir}, or choose another run_dir"
-        )
-    refuse_locked(run_dir)
 
 
 def train(conf: Conf, resume: Path | None = None, words: Sequence[str] = ()) -> "TrainingResult":

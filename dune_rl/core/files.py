@@ -31,7 +31,7 @@ def write_atomically(path: Path) -> Iterator[Path]:
     temporary = Path(name)
     try:
         # Until the end, so that others see that this process lives.
-        _lock(handle)
+        try_lock(handle)
         yield temporary
         with temporary.open("rb+") as file:
             os.fsync(file.fileno())
@@ -46,8 +46,6 @@ def write_atomically(path: Path) -> Iterator[Path]:
 
 def _remove_abandoned(path: Path) -> None:
     """Remove temporary files of `path` whose process is gone."""
-    if fcntl is None:
-        return
     with contextlib.suppress(OSError):
         for other in path.parent.iterdir():
             if not (other.name.startswith(f".{path.name}.") and other.name.endswith(".tmp")):
@@ -55,21 +53,24 @@ def _remove_abandoned(path: Path) -> None:
             handle = os.open(other, os.O_RDWR)
             try:
                 # A file that was begun this moment has no lock yet.
-                abandoned = time.time() - os.fstat(handle).st_mtime > _MOMENT_S and _lock(handle)
+                abandoned = time.time() - os.fstat(handle).st_mtime > _MOMENT_S and try_lock(handle)
             finally:
                 os.close(handle)
             if abandoned:
                 other.unlink(missing_ok=True)
 
 
-def _lock(handle: int) -> bool:
-    """Lock a file, and return whether it was free; false where there are no such locks."""
+def try_lock(handle: int) -> bool | None:
+    """Lock an open file; false where another process has it, None where there are no such locks."""
     if fcntl is None:
-        return False
+        return None
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
+    except BlockingIOError:
         return False
+    except OSError:
+        # As some network file systems answer.
+        return None
     return True
 
 

@@ -16,7 +16,7 @@ from dune_rl.core.files import sha256_of, write_atomically, write_csv
 from dune_rl.evaluation.blocks import FinishedEpisode
 from dune_rl.evaluation.columns import describe_columns
 from dune_rl.evaluation.tables import write_tables
-from dune_rl.learning.run.lock import RunLock
+from dune_rl.learning.run.locks import RunLock
 
 CONFIG, PROVENANCE, COLUMNS = "config.yaml", "provenance.json", "columns.csv"
 EPISODES, STEPS, COMPARISON, SUMMARY = "episodes", "steps", "comparison", "summary"

@@ -49,12 +49,13 @@ def policy_entry(learner: Algorithm) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class SavedPolicy:
-    """One policy of a file: its algorithm's name, spec, network's settings and weights."""
+    """One policy of a file: algorithm's name, spec, network's settings, weights, and its run's settings."""
 
     algorithm: str
     spec: PolicySpec
     network: Mapping[str, Any]
     weights: Mapping[str, torch.Tensor]
+    config: dict[str, Any]
 
     def make_network(self, device: torch.device | str = "cpu") -> TensorDictModuleBase:
         """The network with these weights."""
@@ -65,31 +66,41 @@ class SavedPolicy:
         return network
 
 
+def read_saved_policy(path: Path, group: str, here: PolicySpec, *, allow_more: bool = True) -> SavedPolicy:
+    """The policy of a file or run folder for `group`, on the CPU.
+
+    A folder gives its best policy, or its published one; a file with one policy alone serves a group of any
+    name. Raises CheckpointError if the file is unreadable, has no policy for the group, or one for another
+    spec than `here`, which with `allow_more` may have further parts in its observation.
+    """
+    file, content = read_policy_file(path)
+    entry = saved_entry(content["groups"], file, group)
+    spec = PolicySpec.from_plain(entry["spec"])
+    spec.require(here.only(spec.keys) if allow_more else here, str(file))
+    algorithm_class(entry["algorithm"], str(file))
+    # A checkpoint has the weights among the learner's state.
+    weights = entry["policy"] if "policy" in entry else entry["learner"]["policy"]
+    return SavedPolicy(entry["algorithm"], spec, entry["network"], weights, content["config"])
+
+
 def load_group_policy(
     path: Path, group: str, here: PolicySpec, *, trained_as: str | None = None, allow_more: bool = False
 ) -> tuple[GroupPolicy, dict[str, Any]]:
-    """The policy of a file or run folder for `group`, on the CPU, and the resolved settings that made it.
+    """The policy that acts for `group`, and the resolved settings that made it; see `read_saved_policy`.
 
-    A folder gives its best policy, or its published one. It is the policy of the group `trained_as`, by
-    default of the same name; a file with one policy alone serves a group of any name. Raises CheckpointError
-    if the file is unreadable, has no policy for the group, or one for another spec than `here`, which with
-    `allow_more` may have further parts in its observation.
+    It is the policy of the group `trained_as`, by default of the same name.
     """
-    file, content = read_policy_file(path)
-    saved = _saved_policy(content, file, trained_as or group, here, allow_more)
-    return GroupPolicy(group, saved.spec, saved.make_network()), content["config"]
+    saved = read_saved_policy(path, trained_as or group, here, allow_more=allow_more)
+    return GroupPolicy(group, saved.spec, saved.make_network()), saved.config
 
 
 def load_policy(
     path: Path, env: EnvBase, *, allow_more: bool = False
 ) -> tuple[Deterministic, dict[str, Any]]:
     """The policies of a file or run folder for all groups of `env`: see `load_group_policy`."""
-    file, content = read_policy_file(path)
-    policies = []
-    for group in env.group_map:
-        saved = _saved_policy(content, file, group, PolicySpec.of(env, group), allow_more)
-        policies.append(GroupPolicy(group, saved.spec, saved.make_network()))
-    return Deterministic(JointPolicy(policies)), content["config"]
+    specs = {group: PolicySpec.of(env, group) for group in env.group_map}
+    loaded = [load_group_policy(path, group, spec, allow_more=allow_more) for group, spec in specs.items()]
+    return Deterministic(JointPolicy(policy for policy, _ in loaded)), loaded[0][1]
 
 
 def read_policy_groups(path: Path) -> tuple[list[str], dict[str, Any]]:
@@ -99,24 +110,6 @@ def read_policy_groups(path: Path) -> tuple[list[str], dict[str, Any]]:
     """
     _, content = read_policy_file(path)
     return sorted(content["groups"]), content["config"]
-
-
-def read_saved_policy(path: Path, group: str, here: PolicySpec) -> SavedPolicy:
-    """The policy for `group` as `load_group_policy` finds it, whose observation may have fewer parts."""
-    file, content = read_policy_file(path)
-    return _saved_policy(content, file, group, here, allow_more=True)
-
-
-def _saved_policy(
-    content: Mapping[str, Any], file: Path, group: str, here: PolicySpec, allow_more: bool
-) -> SavedPolicy:
-    entry = saved_entry(content["groups"], file, group)
-    spec = PolicySpec.from_plain(entry["spec"])
-    spec.require(here.only(spec.keys) if allow_more else here, str(file))
-    algorithm_class(entry["algorithm"], str(file))
-    # A checkpoint has the weights among the learner's state.
-    weights = entry["policy"] if "policy" in entry else entry["learner"]["policy"]
-    return SavedPolicy(entry["algorithm"], spec, entry["network"], weights)
 
 
 def saved_entry(groups: Mapping[str, Any], file: Path, group: str) -> Mapping[str, Any]:

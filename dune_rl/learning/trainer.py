@@ -32,8 +32,7 @@ from dune_rl.learning.process import (
 )
 from dune_rl.learning.run.folder import RunFolder
 from dune_rl.learning.run.log import RunLog
-from dune_rl.learning.run.progress import Reporter
-from dune_rl.learning.run.status import RunStatus
+from dune_rl.learning.run.progress import Reporter, RunStatus
 from dune_rl.learning.run.tensorboard import HParam
 from dune_rl.learning.settings import LearningConf
 from dune_rl.learning.warmup import WarmUp

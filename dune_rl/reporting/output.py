@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from dune_rl.core.errors import CheckpointError, ConfigError
 from dune_rl.core.files import write_atomically
-from dune_rl.learning.run.lock import RunLock
+from dune_rl.learning.run.locks import RunLock
 from dune_rl.reporting.figures.style import RC
 from dune_rl.reporting.layout import figures_of, tables_of
 from dune_rl.reporting.page.render import FigureBlock, Section, render_page

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from dune_rl.learning.run.cores import reserve_cores
+from dune_rl.learning.run.locks import reserve_cores
 
 CORES, JOBS = 4, 5
 

@@ -16,11 +16,11 @@ from dune_rl.core.files import write_csv
 from dune_rl.evaluation.tables import results_table
 from dune_rl.learning.evaluation import evaluate
 from dune_rl.learning.group_policy import Deterministic, GroupPolicy
-from dune_rl.learning.networks.architecture import Architecture
+from dune_rl.learning.networks.features import Architecture
 from dune_rl.learning.networks.policy import make_policy_network
 from dune_rl.learning.policies import GoToGoal, UniformRandom
 from dune_rl.learning.policy_spec import PolicySpec
-from dune_rl.learning.run.curve import draw_curve
+from dune_rl.learning.run.log import draw_curve
 from dune_rl.statistics.intervals import estimate_mean, estimate_proportion
 from dune_rl.statistics.measures import (
     average_metrics,

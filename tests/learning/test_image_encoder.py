@@ -14,8 +14,8 @@ from dune_rl.config.compose import compose
 from dune_rl.config.schema import Conf
 from dune_rl.core.errors import CheckpointError, ConfigError
 from dune_rl.learning.group_policy import GroupPolicy
-from dune_rl.learning.networks.architecture import Architecture
 from dune_rl.learning.networks.encoders import ImageEncoder
+from dune_rl.learning.networks.features import Architecture
 from dune_rl.learning.networks.policy import make_policy_network
 from dune_rl.learning.policy_spec import PartSpec, PolicySpec
 from dune_rl.learning.sac.replay import check_memory

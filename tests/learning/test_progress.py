@@ -11,11 +11,12 @@ from dune_rl.learning.run.progress import (
     BarReporter,
     LineReporter,
     Reporter,
+    SpeedMeter,
     TrainingStatus,
+    describe_duration,
     format_duration,
     show_episodes,
 )
-from dune_rl.learning.run.status import SpeedMeter, describe_duration
 
 STATUS = TrainingStatus(500_000, 1_000_000, 2500.0, 120.0, 0.734, 0.15, 3723.0)
 

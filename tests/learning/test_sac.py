@@ -12,8 +12,7 @@ from training import make_sac
 
 from dune_rl.learning.collector import TransitionCollector
 from dune_rl.learning.group_policy import GroupPolicy, agent_sequences, select_group
-from dune_rl.learning.networks.architecture import Architecture
-from dune_rl.learning.networks.features import Normaliser
+from dune_rl.learning.networks.features import Architecture, Normaliser
 from dune_rl.learning.networks.policy import make_policy_network
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.sac.replay import Replay

@@ -1,6 +1,7 @@
 """One feature vector of all parts of an observation: vectors normalised, every part encoded."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import torch
@@ -8,13 +9,37 @@ from torch import Tensor, nn
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.suggestions import advise
-from dune_rl.learning.networks.architecture import Architecture
 from dune_rl.learning.networks.registry import ENCODERS, parse_encoder
 from dune_rl.learning.policy_spec import PackedObservation, PartSpec, PolicySpec
 
 _LEAST_RANGE_M = 1e-3
 # Shorter scans go to the networks as they are.
 _SHORTEST_SCAN = 8
+
+
+@dataclass(frozen=True)
+class Architecture:
+    """Sizes of the networks, beside those of the spec: the settings of `learning` of the same names.
+
+    `networks` has the settings of encoders, as plain data, by the part of the observation.
+    """
+
+    hidden: tuple[int, ...]
+    scan_channels: int = 0
+    observation_clip: float = 10.0
+    image_channels: tuple[int, ...] = (16, 32, 32)
+    image_features: int = 64
+    networks: Mapping[str, Any] = field(default_factory=dict)
+
+    def plain(self) -> dict[str, Any]:
+        """Containers that `torch.load(weights_only=True)` reads."""
+        return {**asdict(self), "hidden": list(self.hidden), "image_channels": list(self.image_channels)}
+
+    @classmethod
+    def from_plain(cls, data: Mapping[str, Any]) -> "Architecture":
+        """The inverse of `plain`; a setting that a file lacks has its default."""
+        lists = {key: tuple(data[key]) for key in ("hidden", "image_channels") if key in data}
+        return cls(**{**data, **lists})
 
 
 class Normaliser(nn.Module):

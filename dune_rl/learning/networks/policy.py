@@ -7,8 +7,7 @@ from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import Tensor, nn
 from torchrl.modules import ProbabilisticActor, TanhNormal
 
-from dune_rl.learning.networks.architecture import Architecture
-from dune_rl.learning.networks.features import Features
+from dune_rl.learning.networks.features import Architecture, Features
 from dune_rl.learning.policy_spec import PolicySpec
 
 FEATURES = "features"

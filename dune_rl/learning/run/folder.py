@@ -13,7 +13,7 @@ from dune_rl.learning.checkpoint import (
     LAST_POLICY_FILE,
     write_checkpoint_file,
 )
-from dune_rl.learning.run.lock import RunLock
+from dune_rl.learning.run.locks import RunLock, check_unused
 from dune_rl.learning.saved_policies import BEST_EVALUATION, LATEST, policy_entry
 
 _EXPERIENCE = "replay"
@@ -29,10 +29,8 @@ class RunFolder:
     def __init__(self, path: Path, config: Mapping[str, Any], *, fresh: bool) -> None:
         self.path = path
         self.config = dict(config)
-        if fresh and (path / CHECKPOINT_FILE).exists():
-            raise CheckpointError(
-                f"{path} already holds a run.\nContinue it with resume={path}, or name another folder."
-            )
+        if fresh:
+            check_unused(path)
         try:
             path.mkdir(parents=True, exist_ok=True)
             with write_atomically(path / ".writable"):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, ImageOps
 from tensorboard.compat.proto.summary_pb2 import Summary
 from torch.utils.tensorboard import SummaryWriter
 from torch.utils.tensorboard.summary import hparams
@@ -17,10 +17,9 @@ from torch.utils.tensorboard.summary import hparams
 HParam = bool | int | float | str
 Picture = NDArray[np.uint8]
 _COLOURS = 128
-_RGB = 3
 
 
-class EventFile:
+class EventFile(SummaryWriter):
     """Writes TensorBoard's events of the run in `folder`, which is one run of TensorBoard.
 
     `resumed_at` are the frames of the checkpoint that the run goes on from: what was written after these
@@ -29,12 +28,7 @@ class EventFile:
 
     def __init__(self, folder: Path, *, resumed_at: int | None = None) -> None:
         # TensorBoard drops the step given and all later ones; that of the checkpoint is not written again.
-        purge = None if resumed_at is None else resumed_at + 1
-        self._writer = SummaryWriter(str(folder), purge_step=purge)
-
-    def scalars(self, values: Mapping[str, float], frames: int) -> None:
-        for name, value in values.items():
-            self._writer.add_scalar(name, value, frames)
+        super().__init__(str(folder), purge_step=None if resumed_at is None else resumed_at + 1)
 
     def histograms(self, values: Mapping[str, Iterable[float]], frames: int) -> None:
         """Log distributions by name; values that are not finite are left out, and so are empty ones."""
@@ -42,22 +36,19 @@ class EventFile:
             numbers = np.asarray(found, float).ravel()
             numbers = numbers[np.isfinite(numbers)]
             if len(numbers):
-                self._writer.add_histogram(name, numbers, frames)
-
-    def picture(self, name: str, picture: Picture, frames: int) -> None:
-        """Log a picture, RGB (height, width, 3)."""
-        encoded = io.BytesIO()
-        Image.fromarray(picture).save(encoded, format="png")
-        self._image(name, encoded.getvalue(), picture, frames)
+                self.add_histogram(name, numbers, frames)
 
     def film(self, name: str, pictures: Sequence[Picture], rate_hz: float, frames: int) -> None:
         """Log `pictures`, RGB (height, width, 3) each, as an animated image."""
-        if pictures:
-            self._image(name, encode_film(pictures, rate_hz), pictures[0], frames)
-
-    def _image(self, name: str, encoded: bytes, picture: Picture, frames: int) -> None:
-        height, width = picture.shape[:2]
-        image = Summary.Image(height=height, width=width, colorspace=_RGB, encoded_image_string=encoded)
+        if not pictures:
+            return
+        height, width, colours = pictures[0].shape
+        image = Summary.Image(
+            height=height,
+            width=width,
+            colorspace=colours,
+            encoded_image_string=encode_film(pictures, rate_hz),
+        )
         self._add(Summary(value=[Summary.Value(tag=name, image=image)]), frames)
 
     def begin_session(self, settings: Mapping[str, HParam], results: Sequence[str]) -> None:
@@ -71,18 +62,14 @@ class EventFile:
 
     def end_session(self, results: Mapping[str, float], frames: int) -> None:
         """Log the results of a finished run, and that it is finished."""
-        self.scalars({name: value for name, value in results.items() if not math.isnan(value)}, frames)
+        for name, value in results.items():
+            if not math.isnan(value):
+                self.add_scalar(name, value, frames)
         self._add(hparams({}, {})[2])
 
     def _add(self, summary: Summary, frames: int | None = None) -> None:
-        assert self._writer.file_writer is not None
-        self._writer.file_writer.add_summary(summary, frames)
-
-    def flush(self) -> None:
-        self._writer.flush()
-
-    def close(self) -> None:
-        self._writer.close()
+        assert self.file_writer is not None
+        self.file_writer.add_summary(summary, frames)
 
 
 def encode_film(pictures: Sequence[Picture], rate_hz: float) -> bytes:
@@ -111,16 +98,9 @@ def log_film(folder: Path, pictures: Sequence[Picture], rate_hz: float, frames: 
     Small, with some pictures a second, and of a long film only some of these: TensorBoard loads it whole.
     """
     every = max(1, round(rate_hz / _RATE_HZ), -(-len(pictures) // _MOST_PICTURES))
-    events = EventFile(folder)
-    try:
-        events.film("film", [_smaller(each) for each in pictures[::every]], rate_hz / every, frames)
-    finally:
-        events.close()
-
-
-def _smaller(picture: Picture) -> Picture:
-    height, width = picture.shape[:2]
-    return np.asarray(Image.fromarray(picture).resize((_WIDTH, round(height * _WIDTH / width))))
+    small = [ImageOps.contain(Image.fromarray(each), (_WIDTH, _WIDTH * 10)) for each in pictures[::every]]
+    with EventFile(folder) as events:
+        events.film("film", [np.asarray(each) for each in small], rate_hz / every, frames)
 
 
 # These say how a run is run, and not what is learned.

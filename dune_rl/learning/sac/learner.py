@@ -13,7 +13,7 @@ from dune_rl.core.errors import CheckpointError
 from dune_rl.core.files import write_atomically
 from dune_rl.learning.algorithm import Algorithm, LearnerContext
 from dune_rl.learning.group_policy import agent_sequences
-from dune_rl.learning.networks.architecture import Architecture
+from dune_rl.learning.networks.features import Architecture
 from dune_rl.learning.policies import WarmupPolicy
 from dune_rl.learning.process import preserve_random_state
 from dune_rl.learning.sac.gradient_step import GradientStep

@@ -14,12 +14,12 @@ from training import trainer
 
 from dune_rl.core.errors import CheckpointError
 from dune_rl.learning.checkpoint import read_checkpoint_file, write_checkpoint_file
-from dune_rl.learning.run.lock import RunLock, refuse_locked
+from dune_rl.learning.run.locks import RunLock, check_unused
 
 HOLD = """
 import sys, time
 from pathlib import Path
-from dune_rl.learning.run.lock import RunLock
+from dune_rl.learning.run.locks import RunLock
 lock = RunLock(Path(sys.argv[1]))
 print("locked", flush=True)
 time.sleep(60)
@@ -33,9 +33,10 @@ def test_a_second_run_in_a_folder_is_refused(tmp_path: Path) -> None:
     ):
         trainer(tmp_path)
     with pytest.raises(CheckpointError, match="Another run"):
-        refuse_locked(tmp_path)
+        check_unused(tmp_path)
     first.train(stop_after_frames=128)
-    refuse_locked(tmp_path)
+    with pytest.raises(CheckpointError, match="already holds a run"):
+        check_unused(tmp_path)
     assert not list(tmp_path.glob(".lock"))
     trainer(tmp_path, resume=tmp_path).train(stop_after_frames=256)
 
@@ -50,7 +51,7 @@ def test_a_killed_run_leaves_no_lock_behind(tmp_path: Path) -> None:
     holder.stdout.close()
     for _ in range(50):
         try:
-            refuse_locked(tmp_path)
+            check_unused(tmp_path)
             break
         except CheckpointError:
             time.sleep(0.1)
@@ -74,7 +75,7 @@ def test_where_nothing_more_can_be_written_the_last_save_is_intact(tmp_path: Pat
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
 def test_a_forked_child_does_not_free_its_parent_s_lock(tmp_path: Path) -> None:
     code = (
-        "import os, sys; from pathlib import Path; from dune_rl.learning.run.lock import RunLock\n"
+        "import os, sys; from pathlib import Path; from dune_rl.learning.run.locks import RunLock\n"
         "lock = RunLock(Path(sys.argv[1])); child = os.fork()\n"
         "if child == 0: lock.release(); os._exit(0)\n"
         "os.waitpid(child, 0)\n"
