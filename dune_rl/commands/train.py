@@ -146,10 +146,17 @@ def _cores_of_a_sweep(conf: Conf, engine: Any) -> Iterator[None]:
 
 def _resume(source: str, overrides: Sequence[str], folders: Sequence[str]) -> None:
     checkpoint = find_checkpoint_file(Path(source), CHECKPOINT_FILE)
-    saved = dict(read_checkpoint_file(checkpoint, "checkpoint")["config"])
+    content = read_checkpoint_file(checkpoint, "checkpoint")
+    saved, counters = dict(content["config"]), content["counters"]
     if override_value(overrides, "run_dir") is None:
         saved["run_dir"] = str(checkpoint.parent)
     conf, before = compose(Conf, overrides, folders, saved), compose(Conf, (), folders, saved)
+    frames = counters["frames"]
+    if frames >= conf.total_frames and counters["evaluated_at"] == frames:
+        raise ConfigError(
+            f"{source} is a finished run of {frames:,} frames, and total_frames is {conf.total_frames:,}: to "
+            f"train on, set more of them, such as total_frames={2 * frames}"
+        )
     for group in conf.external_groups:
         setting, start = conf.learning.start_of(group.name)
         if start != before.learning.start_of(group.name)[1]:
@@ -202,7 +209,13 @@ def train(conf: Conf, resume: Path | None = None, words: Sequence[str] = ()) -> 
     (run_dir / "config.yaml").write_text(yaml.safe_dump(trainer.config, sort_keys=False))
     console.print(f"Run folder: {run_dir}", highlight=False, soft_wrap=True)
     command_line.print_world_notes(console, conf)
-    result = trainer.train()
+    try:
+        result = trainer.train()
+    except KeyboardInterrupt:
+        is_saved = (run_dir / CHECKPOINT_FILE).exists()
+        what = f"its last save stays; go on with resume={run_dir}" if is_saved else "nothing of it was saved"
+        command_line.print_error(f"The run was ended at once: {what}")
+        raise
     if result.signal is not None:
         command_line.print_error(
             f"Stopped at {result.frames:,} frames and saved; go on with resume={run_dir}"

@@ -4,8 +4,8 @@ import ctypes
 import signal
 import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any
 
@@ -24,10 +24,11 @@ class StopRequest:
 
 
 @contextmanager
-def stop_on_signals() -> Iterator[StopRequest]:
+def stop_on_signals(announce: Callable[[str], None] = lambda line: None) -> Iterator[StopRequest]:
     """Note SIGINT and SIGTERM instead of dying of them; a second Ctrl-C interrupts at once, as usual.
 
-    Outside the main thread, which alone receives signals, nothing is changed.
+    `announce` gets a line for the user. Outside the main thread, which alone receives signals, nothing is
+    changed.
     """
     request = StopRequest()
     if threading.current_thread() is not threading.main_thread():
@@ -37,6 +38,9 @@ def stop_on_signals() -> Iterator[StopRequest]:
 
     def note(number: int, _frame: FrameType | None) -> None:
         request.signal = number
+        # The signal may have come in the middle of other output.
+        with suppress(RuntimeError):
+            announce("Stopping: the run is saved after this batch; Ctrl-C again ends it at once, unsaved")
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
     try:

@@ -157,7 +157,7 @@ class Trainer:
         keep_freed_memory()
         end = min(self._total_frames, stop_after_frames or self._total_frames)
         threads = torch.get_num_threads()
-        with self._reporter, stop_on_signals() as stop:
+        with self._reporter, stop_on_signals(self._reporter.note) as stop:
             collector = self._make_collector()
             torch.set_num_threads(self._threads)
             try:

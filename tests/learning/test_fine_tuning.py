@@ -147,7 +147,8 @@ def test_a_resumed_run_starts_from_nothing_else(
     word: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     conf = compose(Conf, ["+world=flat", "actors=none", "learning.start_from=runs/b"])
-    content = {"groups": {}, "config": conf.model_dump(mode="json")}
+    counters = {"frames": 5, "evaluated_at": 5}
+    content = {"groups": {}, "config": conf.model_dump(mode="json"), "counters": counters}
     write_checkpoint_file(tmp_path / CHECKPOINT_FILE, "checkpoint", content)
     resumed = []
     monkeypatch.setattr(train, "train", lambda conf, resume: resumed.append(conf))
@@ -156,3 +157,8 @@ def test_a_resumed_run_starts_from_nothing_else(
     train._resume(str(tmp_path), ["total_frames=7"], ())
     assert [one.total_frames for one in resumed] == [7]
     assert resumed[0].learning.start_from == "runs/b"
+    # Nothing would be trained.
+    with pytest.raises(
+        ConfigError, match=r"finished run of 5 frames, and total_frames is 5: .*total_frames=10"
+    ):
+        train._resume(str(tmp_path), ["total_frames=5"], ())

@@ -41,6 +41,16 @@ def test_a_second_run_in_a_folder_is_refused(tmp_path: Path) -> None:
     trainer(tmp_path, resume=tmp_path).train(stop_after_frames=256)
 
 
+def test_a_new_run_leaves_what_a_crashed_one_left_alone(tmp_path: Path) -> None:
+    check_unused(tmp_path / "none")
+    (tmp_path / "events.out.tfevents.1").touch()
+    with pytest.raises(
+        CheckpointError, match=r"of a run that ended before its first save: delete the folder"
+    ):
+        trainer(tmp_path)
+    assert [file.name for file in tmp_path.iterdir()] == ["events.out.tfevents.1"]
+
+
 def test_a_killed_run_leaves_no_lock_behind(tmp_path: Path) -> None:
     holder = subprocess.Popen([sys.executable, "-c", HOLD, str(tmp_path)], stdout=subprocess.PIPE, text=True)
     assert holder.stdout is not None and holder.stdout.readline() == "locked\n"
