@@ -124,7 +124,7 @@ class EnvConf(Settings):
         limits = [[term for term in terms if term.term == "time_limit"] for terms in ends]
         if not all(limits):
             return self
-        steps: list[int] = [getattr(term, "max_steps") for terms in limits for term in terms]
+        steps: list[int] = [getattr(term, "max_steps") for terms in limits for term in terms]  # noqa: B009
         longest_s = max(steps) * self.physics.control_step_s
         for group in self.groups:
             if group.presence is not None and group.presence.arrive_s[0] >= longest_s:

@@ -47,7 +47,7 @@ class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
     Raises ValueError if the simulation has several scenes, and ConfigError if no group is external.
     """
 
-    metadata = {
+    metadata = {  # noqa: RUF012
         "name": "dune_rl_v0",
         "render_modes": RENDER_MODES,
         "render_fps": 20,

@@ -119,5 +119,5 @@ class Algorithm(ABC):
         """The inverse of `save_experience`, from the `folder` that the file is in."""
         raise NotImplementedError(f"{type(self).__name__} saves no experience")
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027
         """Release files and processes; the learner must not be used afterwards."""

@@ -132,7 +132,7 @@ class EpisodeMetrics(Transform):
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
         """Add the specs of the metrics."""
         for group, _ in self._find():
-            inside = group.name in observation_spec.keys()
+            inside = group.name in observation_spec.keys()  # noqa: SIM118
             target: Composite = observation_spec[group.name] if inside else observation_spec
             width = len(self._simulation.metric_names(group.name)) if self._conf is None else 1
             for key in [_ALL] if self._conf is None else self._names:

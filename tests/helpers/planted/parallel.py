@@ -14,7 +14,7 @@ LIMIT = 6
 class Sound(ParallelEnv):
     """Two points on a line, moved by their actions; time ends an episode, and so does reaching 0.9."""
 
-    metadata = {"name": "sound_v0", "render_modes": []}
+    metadata = {"name": "sound_v0", "render_modes": []}  # noqa: RUF012
     render_mode = None
 
     def __init__(self) -> None:

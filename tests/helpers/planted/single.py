@@ -10,7 +10,7 @@ from gymnasium.envs.registration import EnvSpec
 class Sound(gymnasium.Env):
     """A point moved by its action, in a space that is neither symmetric nor normalised."""
 
-    metadata = {"render_modes": []}
+    metadata = {"render_modes": []}  # noqa: RUF012
 
     def __init__(self) -> None:
         self.spec = EnvSpec("planted/Point-v0", entry_point=type(self), disable_env_checker=True)
