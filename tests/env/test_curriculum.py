@@ -11,6 +11,7 @@ from training import assert_halves_make_a_whole, small, trainer
 
 from dune_rl.config.build import make_learning_env, make_simulation
 from dune_rl.config.compose import compose, compose_environment
+from dune_rl.config.schema import Conf
 from dune_rl.core.errors import ConfigError
 from dune_rl.env.curriculum import CURRICULA, Curriculum, by_outcome
 from dune_rl.env.simulation import VectorSimulation
@@ -120,11 +121,11 @@ def test_a_restored_state_has_the_level_and_the_difficulty_of_each_episode() -> 
 
 def test_a_misspelt_curriculum_is_told() -> None:
     with pytest.raises(ConfigError, match="by_outcome"):
-        compose(["+world=flat", "learning.curriculum=by_outcomes"])
+        compose(Conf, ["+world=flat", "learning.curriculum=by_outcomes"])
     with pytest.raises(ConfigError, match=r"learning.curriculum.measure.*speedy"):
-        compose(["+world=flat", "learning.curriculum={name: by_outcome, measure: speedy}"])
+        compose(Conf, ["+world=flat", "learning.curriculum={name: by_outcome, measure: speedy}"])
     with pytest.raises(ConfigError, match=r"easiest.friction: it is not drawn"):
-        compose(["+world=flat", "learning.curriculum={name: by_outcome, easiest: {friction: 1.0}}"])
+        compose(Conf, ["+world=flat", "learning.curriculum={name: by_outcome, easiest: {friction: 1.0}}"])
 
 
 def test_a_resumed_training_goes_on_with_its_levels(tmp_path: Path) -> None:

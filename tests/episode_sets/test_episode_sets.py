@@ -12,7 +12,8 @@ import yaml
 
 from dune_rl.commands import episode_sets
 from dune_rl.config.build import make_simulation
-from dune_rl.config.compose import compose_environment
+from dune_rl.config.commands import EvaluateConf
+from dune_rl.config.compose import compose, compose_environment
 from dune_rl.config.schema import EnvConf
 from dune_rl.config.shorthands import replace_actors
 from dune_rl.core.errors import ConfigError, DuneError
@@ -215,6 +216,8 @@ def test_the_command_makes_a_set_of_ones_own(
     make_own("mine-v1", "+world=island", "--sites=2", "--episodes=4", "--seed=8")
     seeds = [one.world_seed for one in read_episode_set("episode_sets/mine-v1.json").episodes]
     assert seeds == [500, 500, 501, 501]
+    conf = compose(EvaluateConf, ["+world=flat", "policy=random", "seed=3"])
+    assert settings_on_set(conf, read_episode_set("episode_sets/mine-v1.json")).seed == 8
 
 
 @pytest.mark.parametrize(

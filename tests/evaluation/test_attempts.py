@@ -1,11 +1,19 @@
 """Attempts at goals, and the best of the published code's sliding windows, against hand-made values."""
 
 import math
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
-from dune_rl.evaluation.protocols.attempts import Attempt, best_window_rate, cut_attempts, join_attempts
+from dune_rl.evaluation.protocols.attempts import (
+    Attempt,
+    AttemptRecorder,
+    best_window_rate,
+    cut_attempts,
+    join_attempts,
+)
 
 # An episode with goals after 10 and 14 s that gets stuck at 40 s, with a collision at 30 s.
 EPISODE = [Attempt(0.0, 10.0, "reached"), Attempt(10.0, 14.0, "reached"), Attempt(14.0, 40.0, "failed", 30.0)]
@@ -59,3 +67,17 @@ def test_the_best_window_flatters() -> None:
 
 def test_nothing_was_attempted() -> None:
     assert math.isnan(best_window_rate([]))
+
+
+def test_an_attempt_has_no_late_collision_of_the_one_before() -> None:
+    group = SimpleNamespace(episode=SimpleNamespace(step_s=1.0, steps=np.zeros(1)))
+    group.ended_by = lambda _: group.episode.steps == 8
+    simulation: Any = SimpleNamespace(
+        num_scenes=1, steps=np.zeros(1), state=SimpleNamespace(groups={"rover": group})
+    )
+    recorder = AttemptRecorder(cast(Any, simulation), "rover")
+    recorder.begin()
+    for step in range(1, 13):
+        group.episode.steps, group.nearest_return = np.array([step]), np.array([0.2 if step == 5 else 2.0])
+        recorder.step()
+    assert recorder.finish(0) == [Attempt(0.0, 8.0, "reached", 5.0), Attempt(8.0, 12.0, "failed")]
