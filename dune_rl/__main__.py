@@ -2,23 +2,13 @@
 
 import sys
 
-COMMANDS = (
-    ("train", "train a rover: +world=inspection"),
-    ("evaluate", "measure a policy on numbered episodes: checkpoint=runs/NAME"),
-    ("report", "a page, figures and tables of runs and evaluations: runs/NAME"),
-    ("episode_sets", "list the sets of episodes, check them, or make your own"),
-    ("view", "pictures, films and maps: +world=inspection"),
-    ("trajectory", "an actor's way through way-points, as SDF, CSV or JSON"),
-    ("benchmark", "what a step costs on this machine"),
-    ("engines", "compare PyBullet and DART"),
-    ("robots", "what a URDF gives: FILE.urdf"),
-)
+from dune_rl.commands.pages import PAGES
 
 
 def main() -> int:
     """Print the commands; the exit code is 0, or 2 if something else was asked for."""
     lines = ["dune_rl: off-road navigation among moving actors", ""]
-    lines += [f"  python -m dune_rl.{name:<12} {meaning}" for name, meaning in COMMANDS]
+    lines += [f"  python -m dune_rl.{name:<12} {page.title}" for name, page in PAGES.items()]
     lines += ["", "Each has --help. First steps: python -m dune_rl.train +experiment=quick"]
     asked = [word for word in sys.argv[1:] if word not in ("-h", "--help")]
     if asked:

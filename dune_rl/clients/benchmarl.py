@@ -81,11 +81,9 @@ class DuneTaskClass(TaskClass):  # type: ignore[misc]
         return {"world": self.name.lower(), "flatten": True, **self.config}
 
     def supports_continuous_actions(self) -> bool:
-        """Yes."""
         return True
 
     def supports_discrete_actions(self) -> bool:
-        """No."""
         return False
 
     def max_steps(self, env: EnvBase) -> int:
@@ -109,11 +107,9 @@ class DuneTaskClass(TaskClass):  # type: ignore[misc]
 
     @staticmethod
     def render_callback(experiment: Any, env: EnvBase, data: TensorDictBase) -> torch.Tensor:
-        """RGB (480, 640, 3)."""
         return torch.from_numpy(env.base_env.render())
 
     def group_map(self, env: EnvBase) -> dict[str, list[str]]:
-        """Names of the agents of each group."""
         return {group: list(agents) for group, agents in env.group_map.items()}
 
     def observation_spec(self, env: EnvBase) -> Composite:
@@ -125,7 +121,6 @@ class DuneTaskClass(TaskClass):  # type: ignore[misc]
         return spec
 
     def action_spec(self, env: EnvBase) -> Composite:
-        """The groups' actions, in physical units."""
         return env.full_action_spec_unbatched
 
     def info_spec(self, env: EnvBase) -> None:
@@ -143,7 +138,6 @@ class DuneTaskClass(TaskClass):  # type: ignore[misc]
 
     @staticmethod
     def env_name() -> str:
-        """`dune_rl`."""
         return "dune_rl"
 
 
@@ -166,7 +160,6 @@ class DuneTask(Task):  # type: ignore[misc]
 
     @staticmethod
     def associated_class() -> type[DuneTaskClass]:
-        """The class of these tasks."""
         return DuneTaskClass
 
     def get_from_yaml(self, path: str | None = None) -> DuneTaskClass:
@@ -192,7 +185,6 @@ class EpisodeLog(Callback):  # type: ignore[misc]
         self._log("collection", [batch.reshape(-1)])
 
     def on_evaluation_end(self, rollouts: list[TensorDictBase]) -> None:
-        """Log the evaluation's episodes."""
         self._log("eval", rollouts)
 
     def _log(self, prefix: str, rollouts: list[TensorDictBase]) -> None:

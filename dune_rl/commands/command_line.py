@@ -180,7 +180,6 @@ def print_world_notes(console: "Console", conf: "EnvConf") -> None:
 
 
 def print_error(message: str) -> None:
-    """Print a message on standard error."""
     print(message, file=sys.stderr, flush=True)
 
 
@@ -203,7 +202,6 @@ def parse_arguments(words: Sequence[str], *, sweeps: bool = False) -> Namespace:
 
 
 def config_folders(parsed: Namespace) -> list[str]:
-    """Further folders of options, from `--config-dir`."""
     return [parsed.config_dir] if parsed.config_dir else []
 
 

@@ -76,7 +76,6 @@ def make_report(folders: Sequence[Path], conf: ReportConf, console: Console) -> 
 def _write(
     folder: Path, inputs: ReportInputs, conf: ReportConf, now: datetime, console: Console
 ) -> list[Section]:
-    """Compute, draw and write the report; returns the sections of its page."""
     findings = collect_findings(inputs)
     progress = ReportProgress(console)
     plans = plan_figures(findings, conf.failures, progress)
@@ -130,7 +129,6 @@ def default_folder(folders: Sequence[Path], now: datetime) -> Path:
 
 
 def default_title(inputs: ReportInputs) -> str:
-    """The names of what is reported."""
     by_kind = (inputs.sweeps, inputs.evaluations, inputs.training)
     names = list(dict.fromkeys(one.name for kind in by_kind for one in kind))
     if len(names) > _NAMES:

@@ -115,7 +115,6 @@ def _job(config: DictConfig) -> float | None:
 
 
 def _folders_of(engine: Any) -> list[str]:
-    """The further folders of options that Hydra was given."""
     sources = engine.runtime.config_sources
     return [source.path for source in sources if source.provider == "command-line"]
 

@@ -14,7 +14,6 @@ from dune_rl.learning.checkpoint import read_policy_file
 
 
 def run(words: Sequence[str]) -> None:
-    """Write what the command line says."""
     parsed = command_line.parse_arguments(words)
     checkpoint = override_value(parsed.overrides, "checkpoint")
     saved = None if checkpoint is None else read_policy_file(Path(str(checkpoint)))[1]["config"]

@@ -120,7 +120,6 @@ class AgentGroupConf(Settings):
 
     @property
     def is_robot(self) -> bool:
-        """Whether the body is that of a robot."""
         return isinstance(self.body, RobotSettings)
 
     @model_validator(mode="after")
@@ -180,12 +179,10 @@ class ResolvedGroup:
 
     @property
     def is_external(self) -> bool:
-        """Whether its actions come from outside."""
         return self.controller == EXTERNAL
 
     @property
     def agents(self) -> tuple[str, ...]:
-        """The names of its agents."""
         return tuple(f"{self.name}_{number}" for number in range(self.count))
 
 

@@ -198,7 +198,6 @@ def _frozen_policy(conf: FrozenPolicyConf, group: AgentGroup) -> Controller:
 
 
 def build_robot(conf: RobotSettings, num_robots: int) -> Robot:
-    """A robot model of `num_robots` robots."""
     return ROBOTS.build(conf, num_robots)
 
 

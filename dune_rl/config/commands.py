@@ -131,48 +131,47 @@ class EvaluateConf(EnvConf):
         return self
 
     @model_validator(mode="after")
-    def _actors_among_steps(self) -> Self:
-        if self.actor_steps and not self.steps:
-            raise ValueError("actor_steps=true adds rows to the steps; give steps=true or steps=N as well")
-        return self
-
-    @model_validator(mode="after")
-    def _protocol_fits(self) -> Self:
-        if self.protocol is None:
-            for name in ("runs", "run_steps"):
-                if getattr(self, name) is not None:
-                    raise ValueError(f"{name} needs protocol=paper or protocol=dune_code; or take episodes=N")
-            return self
-        if self.set is not None:
-            raise ValueError(
+    def _fits_together(self) -> Self:
+        alone = [name for name in ("runs", "run_steps") if getattr(self, name) is not None]
+        faults = (
+            (
+                self.actor_steps and not self.steps,
+                "actor_steps=true adds rows to the steps; give steps=true or steps=N as well",
+            ),
+            (
+                self.protocol is None and alone,
+                f"{''.join(alone[:1])} needs protocol=paper or protocol=dune_code; or take episodes=N",
+            ),
+            (
+                self.protocol is not None and self.set is not None,
                 f"protocol={self.protocol} samples starts and goals as in training, and set={self.set} fixes "
-                "them and how episodes end; leave one of the two out"
-            )
-        if self.episodes is not None:
-            raise ValueError(
+                "them and how episodes end; leave one of the two out",
+            ),
+            (
+                self.protocol is not None and self.episodes is not None,
                 f"protocol={self.protocol} has runs of control steps, whatever the number of episodes; "
-                "write runs=N in place of episodes"
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _cross_play_has_populations(self) -> Self:
-        if self.cross_play and not self.populations:
-            raise ValueError(
+                "write runs=N in place of episodes",
+            ),
+            (
+                self.cross_play and not self.populations,
                 "cross_play tests robots among populations of actors; name some: "
-                "populations=[walkers,none,RUN], options of actors or runs that trained actors"
-            )
-        if self.populations and not self.cross_play:
-            raise ValueError("populations are of a cross-play; give cross_play=true as well")
-        if self.cross_play and self.protocol is not None:
-            raise ValueError("cross_play counts episodes, and a protocol runs; leave protocol out")
-        return self
-
-    @model_validator(mode="after")
-    def _some_policy(self) -> Self:
-        if not (self.checkpoint or self.policy):
-            raise ValueError(
+                "populations=[walkers,none,RUN], options of actors or runs that trained actors",
+            ),
+            (
+                self.populations and not self.cross_play,
+                "populations are of a cross-play; give cross_play=true as well",
+            ),
+            (
+                self.cross_play and self.protocol is not None,
+                "cross_play counts episodes, and a protocol runs; leave protocol out",
+            ),
+            (
+                not (self.checkpoint or self.policy),
                 f"choose a policy: checkpoint=PATH, or policy=NAME with {', '.join(_BUILT_IN_POLICIES)}, "
-                "FILE.onnx or MODULE:FUNCTION"
-            )
+                "FILE.onnx or MODULE:FUNCTION",
+            ),
+        )
+        for is_fault, message in faults:
+            if is_fault:
+                raise ValueError(message)
         return self

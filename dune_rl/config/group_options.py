@@ -181,7 +181,6 @@ def describe_shared_groups(request: ParsedOverrides) -> list[str]:
 
 
 def _groups_of(option: str) -> dict[str, Mapping[str, Any]]:
-    """The groups of an option of actors."""
     groups = to_plain(compose_words(f"actors/{option}")).get("actors") or {}
     return {name: group for name, group in groups.items() if isinstance(group, Mapping) and _has_body(group)}
 
@@ -254,7 +253,6 @@ def change_groups(
 
 
 def _value_of(override: Override, data: Mapping[str, Any]) -> Any:
-    """The value of an override, with interpolations resolved."""
     value = override.value()
     if "${" not in str(override.input_line):
         return value

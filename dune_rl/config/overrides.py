@@ -50,7 +50,6 @@ class ParsedOverrides:
 
     @property
     def has_scenario(self) -> bool:
-        """Whether a scenario is chosen."""
         return any(each.key_or_group == SCENARIO for each in self.groups)
 
     def named_in(self, section: str) -> set[str]:

@@ -57,7 +57,6 @@ def robot_names(config: Mapping[str, Any]) -> list[str]:
 
 
 def _groups(data: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The settings of all agent groups."""
     sections = [data.get(name) for name in ("agents", "actors")]
     return [group for groups in sections if isinstance(groups, dict) for group in groups.values()]
 

@@ -66,7 +66,6 @@ class EnvConf(Settings):
 
     @property
     def robot(self) -> RobotSettings:
-        """The robot of the first group of robots."""
         return next(group.body for group in self.agents.values() if isinstance(group.body, RobotSettings))
 
     @property
@@ -206,7 +205,6 @@ class OneGroupConf(EnvConf):
 
     @property
     def driven_group(self) -> ResolvedGroup:
-        """The one external group."""
         return self.external_groups[0]
 
 
@@ -237,7 +235,6 @@ class Conf(EnvConf):
 
     @property
     def driven_group(self) -> ResolvedGroup:
-        """The first group that learns: the one that the objective and the best policy are of."""
         return next(group for group in self.external_groups if self.learning.frozen(group.name) is None)
 
     @model_validator(mode="after")

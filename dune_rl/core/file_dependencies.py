@@ -24,7 +24,6 @@ _recording: ContextVar[FileDependencies | None] = ContextVar("recording", defaul
 
 @contextmanager
 def record_dependencies() -> Iterator[FileDependencies]:
-    """Record the files that are accessed within the block."""
     sources = FileDependencies()
     token = _recording.set(sources)
     try:

@@ -45,7 +45,6 @@ def write_atomically(path: Path) -> Iterator[Path]:
 
 
 def _remove_abandoned(path: Path) -> None:
-    """Remove temporary files of `path` whose process is gone."""
     with contextlib.suppress(OSError):
         for other in path.parent.iterdir():
             if not (other.name.startswith(f".{path.name}.") and other.name.endswith(".tmp")):

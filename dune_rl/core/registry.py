@@ -9,6 +9,7 @@ import importlib
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import EntryPoint
 from typing import Any, ClassVar, Generic, TypeVar
 
@@ -221,7 +222,6 @@ class Registry(Generic[ProductT]):
         return product
 
     def part_of(self, conf: Settings) -> RegisteredPart:
-        """The part that settings belong to."""
         if isinstance(conf, DerivedSettings):
             return type(conf)._part
         part = self.find(getattr(conf, self.tag))
@@ -274,7 +274,7 @@ class Registry(Generic[ProductT]):
         self, target: Any, name: str, signature: PartSignature, origin: str, *, is_own: bool
     ) -> RegisteredPart:
         bases = (DerivedSettings, self.base)
-        settings: Any = derive_settings(signature, name, self.tag, bases, origin, self._error)
+        settings: Any = derive_settings(signature, name, self.tag, bases, partial(self._fail, origin))
         part = RegisteredPart(target, settings, signature, origin, is_own)
         settings._part, settings._registry = part, self
         return part
@@ -283,14 +283,16 @@ class Registry(Generic[ProductT]):
         return read_signature(
             target,
             name,
-            origin,
+            partial(self._fail, origin),
             form=self._form,
             leading=self._leading,
             reserved={self.tag, *self.base.model_fields},
             tag=self.tag,
             product=self._returned,
-            error=self._error,
         )
+
+    def _fail(self, origin: str, reason: str) -> DuneError:
+        return self._error(f"{origin}, {reason}")
 
     def _check_product(self, part: RegisteredPart, product: Any) -> None:
         missing = missing_members(self._product, product)

@@ -29,61 +29,51 @@ class PartSignature:
     settings_type: type[Settings] | None = None
 
     def arguments(self, conf: Settings) -> dict[str, Any]:
-        """The keyword arguments that settings stand for."""
         if self.settings_parameter is not None:
             return {self.settings_parameter: conf}
         return {name: getattr(conf, name) for name in self.fields}
 
 
-@dataclass(frozen=True)
-class _Reader:
-    """What is wrong with a part is an `error` whose sentence opens with `origin`."""
-
-    origin: str
-    error: type[DuneError]
-
-    def fail(self, reason: str) -> DuneError:
-        return self.error(f"{self.origin}, {reason}")
+# Makes the error about a part whose fault is told.
+Fail = Callable[[str], DuneError]
 
 
 def read_signature(
     target: Any,
     name: str,
-    origin: str,
+    fail: Fail,
     *,
     form: str,
     leading: Mapping[str, tuple[str, ...] | None],
     reserved: set[str],
     tag: str,
     product: Any,
-    error: type[DuneError],
 ) -> PartSignature:
     """The signature of a part, which must have this `form`, in words.
 
     `leading` names the parameters that precede the settings of a "function" and of a "class", None where a
     part cannot be one. No parameter may have a `reserved` name. A function must return a `product` if it says
-    what it returns. Raises `error`, whose sentence opens with `origin`.
+    what it returns. Raises the errors of `fail`.
     """
-    reader = _Reader(origin, error)
     is_class = inspect.isclass(target)
     first = leading["class" if is_class else "function"]
     if first is None or not (is_class or inspect.isfunction(target)):
-        raise reader.fail(f"which must be {form}, and is {target!r}.")
+        raise fail(f"which must be {form}, and is {target!r}.")
     function = target.__init__ if is_class else target
-    parameters = _settings_parameters(reader, target, is_class, first)
-    hints = _hints(reader, function, parameters)
+    parameters = _settings_parameters(fail, target, is_class, first)
+    hints = _hints(fail, function, parameters)
     returned = Any if is_class else _returned(function)
     if returned is not Any and not _may_be(returned, product):
-        raise reader.fail(f"which must be {form}, and says that it returns {_named(returned)}.")
+        raise fail(f"which must be {form}, and says that it returns {_named(returned)}.")
     if len(parameters) == 1:
         only = parameters[0].name
         own = hints.get(only)
         if isinstance(own, type) and issubclass(own, Settings):
             stated = own.model_fields.get(tag)
             if stated is not None and not stated.is_required() and stated.default != name:
-                raise reader.fail(f"whose settings name another one: {stated.default!r}.")
+                raise fail(f"whose settings name another one: {stated.default!r}.")
             return PartSignature(target, is_class, {}, only, own)
-    fields = {parameter.name: _field(reader, parameter, hints, reserved) for parameter in parameters}
+    fields = {parameter.name: _field(fail, parameter, hints, reserved) for parameter in parameters}
     return PartSignature(target, is_class, fields)
 
 
@@ -92,11 +82,9 @@ def derive_settings(
     name: str,
     tag: str,
     bases: tuple[type[Any], ...],
-    origin: str,
-    error: type[DuneError],
+    fail: Fail,
 ) -> type[Settings]:
-    """A settings class of the part `name`, derived from `bases`; raises `error` where none can be made."""
-    reader = _Reader(origin, error)
+    """A settings class of the part `name`, derived from `bases`; raises the errors of `fail`."""
     own = signature.settings_type
     if own is not None:
         bases = (*(base for base in bases if not issubclass(own, base)), own)
@@ -108,19 +96,19 @@ def derive_settings(
             settings = _create(f"{label}Conf", bases, signature.target, fields)
     except (PydanticUserError, TypeError, NameError, UserWarning) as fault:
         reason = str(fault).splitlines()[0]
-        raise reader.fail(f"whose parameters cannot be settings: {reason}") from fault
+        raise fail(f"whose parameters cannot be settings: {reason}") from fault
     if not any(field.is_required() for field in settings.model_fields.values()):
         try:
             settings()
         except ValidationError as fault:
             first = fault.errors()[0]
             place = ".".join(map(str, first["loc"])) or "settings"
-            raise reader.fail(f"whose default for {place} is unfit: {first['msg']}.") from fault
+            raise fail(f"whose default for {place} is unfit: {first['msg']}.") from fault
     return settings
 
 
 def _settings_parameters(
-    reader: _Reader, target: Any, is_class: bool, leading: tuple[str, ...]
+    fail: Fail, target: Any, is_class: bool, leading: tuple[str, ...]
 ) -> list[inspect.Parameter]:
     if is_class and target.__init__ is object.__init__:
         parameters = []
@@ -128,18 +116,18 @@ def _settings_parameters(
         parameters = list(inspect.signature(target).parameters.values())
     names = tuple(parameter.name for parameter in parameters)
     if is_class and not set(leading) <= set(names):
-        raise reader.fail(f"whose __init__ must have the parameters {', '.join(leading)}.")
+        raise fail(f"whose __init__ must have the parameters {', '.join(leading)}.")
     if not is_class and names[: len(leading)] != leading:
-        raise reader.fail(f"whose first parameters must be {', '.join(leading)}.")
+        raise fail(f"whose first parameters must be {', '.join(leading)}.")
     return [parameter for parameter in parameters if parameter.name not in leading]
 
 
-def _hints(reader: _Reader, function: Any, parameters: list[inspect.Parameter]) -> dict[str, Any]:
+def _hints(fail: Fail, function: Any, parameters: list[inspect.Parameter]) -> dict[str, Any]:
     """The types of the settings; those of other parameters need not be importable."""
     try:
         return _evaluated(function, {parameter.name for parameter in parameters})
     except Exception as error:
-        raise reader.fail(f"whose annotations cannot be read: {type(error).__name__}: {error}.") from error
+        raise fail(f"whose annotations cannot be read: {type(error).__name__}: {error}.") from error
 
 
 def _returned(function: Any) -> Any:
@@ -157,15 +145,15 @@ def _evaluated(function: Any, names: set[str]) -> dict[str, Any]:
 
 
 def _field(
-    reader: _Reader, parameter: inspect.Parameter, hints: dict[str, Any], reserved: set[str]
+    fail: Fail, parameter: inspect.Parameter, hints: dict[str, Any], reserved: set[str]
 ) -> tuple[Any, Any]:
     name = parameter.name
     if parameter.kind not in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY):
-        raise reader.fail(f"whose parameter {parameter} cannot be a setting: name it and its type.")
+        raise fail(f"whose parameter {parameter} cannot be a setting: name it and its type.")
     if name not in hints:
-        raise reader.fail(f"whose parameter {name!r} has no type: write such as {name}: int = 0.")
+        raise fail(f"whose parameter {name!r} has no type: write such as {name}: int = 0.")
     if name in reserved or hasattr(Settings, name):
-        raise reader.fail(f"whose parameter {name!r} has a name that settings use themselves.")
+        raise fail(f"whose parameter {name!r} has a name that settings use themselves.")
     return hints[name], ... if parameter.default is parameter.empty else parameter.default
 
 

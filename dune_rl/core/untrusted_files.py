@@ -100,7 +100,6 @@ class WorldFiles:
         self.base = root if base is None else base
 
     def relative_to(self, base: Path) -> "WorldFiles":
-        """The same files, with names relative to another folder."""
         return WorldFiles(self.root, base)
 
     def find(self, name: str) -> Path:
@@ -133,7 +132,6 @@ class WorldFiles:
         raise FileNotFoundError(name)
 
     def read(self, name: str) -> bytes:
-        """The bytes of a file in the folder."""
         return read_bytes(self.find(name))
 
 

@@ -26,7 +26,6 @@ MakeEnv = Callable[..., EnvBase]
 
 
 def available_cores() -> int:
-    """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -188,7 +187,6 @@ class TransitionCollector:
         return [policy for policy in self._policies.values() if isinstance(policy, PopulationPolicy)]
 
     def close(self) -> None:
-        """End the workers and close the environments."""
         threads = torch.get_num_threads()
         self._monitor.close()
         self._collector.shutdown()

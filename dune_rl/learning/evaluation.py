@@ -100,7 +100,6 @@ def evaluate(
 
 
 def _episode_ids(env: EnvBase) -> torch.Tensor:
-    """The ids (M,) of the present episodes."""
     return torch.from_numpy(env.episode_keys()[1])
 
 

@@ -40,7 +40,6 @@ class PeriodicEvaluation:
         self.rows: dict[str, list[MetricsRow]] = {}
 
     def is_due(self, frames: int) -> bool:
-        """Whether an evaluation is due after `frames`."""
         return frames >= self._next_at
 
     def count_left(self, frames: int, total_frames: int) -> int:
@@ -61,7 +60,6 @@ class PeriodicEvaluation:
         return mean_of_known(rates)
 
     def is_done(self, frames: int) -> bool:
-        """Whether the policies after `frames` have been evaluated."""
         return self._evaluated_at == frames
 
     def run(

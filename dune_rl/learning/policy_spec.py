@@ -78,7 +78,6 @@ class PolicySpec:
 
     @classmethod
     def of(cls, env: "EnvBase", group: str) -> "PolicySpec":
-        """The spec of an agent group of `env`."""
         # All agents of all scenes have the bounds of the first.
         action = env.full_action_spec[group, "action"].space
         observation = {
@@ -113,7 +112,6 @@ class PolicySpec:
         return [*self.sizes, *self.images]
 
     def part(self, key: str) -> PartSpec:
-        """The part `key`."""
         return self.images[key] if key in self.images else PartSpec((self.sizes[key],))
 
     @property
@@ -187,7 +185,6 @@ class PolicySpec:
 
     @classmethod
     def from_plain(cls, data: Mapping[str, Any]) -> "PolicySpec":
-        """The inverse of `plain`."""
         # Files from before there were images have none.
         images = {
             key: PartSpec(tuple(each["shape"]), each["bytes"], each["low"], each["high"])

@@ -14,8 +14,6 @@ import torch
 
 
 class StopRequest:
-    """Whether a stop was asked for, and by which signal."""
-
     def __init__(self) -> None:
         self.signal: int | None = None
 
@@ -74,7 +72,6 @@ def set_random_state(state: dict[str, Any]) -> None:
 
 @contextmanager
 def preserve_random_state() -> Iterator[None]:
-    """Context that restores the random states at its end."""
     state = random_state()
     try:
         yield

@@ -58,7 +58,6 @@ class SavedPolicy:
     config: dict[str, Any]
 
     def make_network(self, device: torch.device | str = "cpu") -> TensorDictModuleBase:
-        """The network with these weights."""
         network: TensorDictModuleBase = algorithm_class(self.algorithm, "the policy").make_network(
             self.spec, self.network, device
         )

@@ -141,7 +141,6 @@ class Trainer:
 
     @property
     def updates(self) -> int:
-        """Gradient updates so far, over all groups."""
         return sum(self._updates.values())
 
     @property

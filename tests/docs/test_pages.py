@@ -25,10 +25,10 @@ from urdf_files import CART
 from user_packages import packages_on_path, shown_files, write_package
 from world_files import write_yard
 
-from dune_rl.__main__ import COMMANDS as PROGRAMS
 from dune_rl.commands import episode_sets, robots
 from dune_rl.commands.command_line import config_folders, parse_arguments
 from dune_rl.commands.engines import parse_settings as engines_settings
+from dune_rl.commands.pages import PAGES as PROGRAMS
 from dune_rl.config.commands import EvaluateConf, ViewConf
 from dune_rl.config.compose import check_sweep, compose, override_value
 from dune_rl.config.schema import Conf
@@ -153,7 +153,7 @@ def test_a_stale_command_would_be_noticed() -> None:
 
 def test_every_command_of_the_package_is_shown() -> None:
     shown = {command.split()[0] for _, command in SHOWN}
-    assert {f"dune_rl.{name}" for name, _ in PROGRAMS} <= shown
+    assert {f"dune_rl.{name}" for name in PROGRAMS} <= shown
 
 
 @pytest.mark.slow(all_but=["README.md-0", "docs/how_to/gymnasium.md-8", "docs/how_to/torchrl.md-13"])

@@ -30,7 +30,6 @@ _WITHOUT_GROUPS = ("terrain", "groups", "actors", "processes")
 
 
 def run(words: Sequence[str]) -> None:
-    """Measure what the command line says."""
     parsed = command_line.parse_arguments(words)
     conf = compose(BenchmarkConf, parsed.overrides, command_line.config_folders(parsed))
     for part, measure in _MEASURES.items():

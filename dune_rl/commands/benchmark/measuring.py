@@ -29,7 +29,6 @@ _SWAY = 0.05
 
 
 def time_calls(action: Step, count: int = 1) -> float:
-    """Time [s] of `count` calls of `action`."""
     start = time.perf_counter()
     for _ in range(count):
         action()
@@ -100,7 +99,6 @@ def _action_range(group: AgentGroup) -> tuple[Array, Array]:
 
 
 def start_simulation(conf: BenchmarkConf, num_scenes: int | None = None) -> VectorSimulation:
-    """The simulation of the settings, reset."""
     simulation = make_simulation(conf, num_scenes or conf.scenes, conf.seed)
     simulation.reset()
     return simulation

@@ -23,8 +23,6 @@ Name = Annotated[str, Field(min_length=1)]
 
 
 class EnginesConf(Settings):
-    """Settings of the comparison."""
-
     parts: tuple[Literal["agreement", "stability"], ...] = ("agreement", "stability")
     engines: tuple[Engine, ...] = OWN_ENGINES
     robots: tuple[Name, ...] = ("rover_zero",)
@@ -36,7 +34,6 @@ class EnginesConf(Settings):
 
 
 def run(words: Sequence[str]) -> None:
-    """Compare what the command line says."""
     parsed = command_line.parse_arguments(words)
     conf = parse_settings(parsed.overrides)
     if "agreement" in conf.parts:

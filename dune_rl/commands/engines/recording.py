@@ -30,7 +30,6 @@ class RecordingRobot:
         self.had_contact = False
 
     def contacts(self) -> Sequence[int]:
-        """As `PhysicsRobot.contacts`."""
         numbers = self._robot.contacts()
         self.had_contact |= bool(numbers)
         return numbers
@@ -54,7 +53,6 @@ class RecordingScene:
         self.wheel_speeds: Array = np.zeros(0)
 
     def finish_step(self) -> None:
-        """As `PhysicsScene.finish_step`."""
         self._scene.finish_step()
         (robot,) = self._scene.robots
         self.work_done_j = robot.work_j()

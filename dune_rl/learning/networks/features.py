@@ -119,7 +119,6 @@ class Features(nn.Module):
         self.size += sum(encoder.size for _, encoder in self._encoders())
 
     def _encoders(self) -> Iterator[tuple[Sequence[str], Any]]:
-        """The keys of the parts that each encoder reads, and the encoder."""
         yield from zip(self._scans, self.scans["convolutions"].children(), strict=True)
         yield from zip([[key] for key in self._images], self.images, strict=True)
         yield from zip([[key] for key in self._named], self.named, strict=True)

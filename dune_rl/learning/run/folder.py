@@ -44,7 +44,6 @@ class RunFolder:
         self._lock = RunLock(path)
 
     def release(self) -> None:
-        """Let other runs write to the folder."""
         self._lock.release()
 
     def save_policies(

@@ -123,7 +123,6 @@ class RunLog:
         self.write()
 
     def picture(self, name: str, picture: Picture, frames: int) -> None:
-        """Log a picture, RGB (height, width, 3)."""
         self._events.add_image(name, picture, frames, dataformats="HWC")
 
     def begin_session(self, settings: Mapping[str, HParam]) -> None:
@@ -204,12 +203,10 @@ class RecentEpisodes:
         return full
 
     def clear(self) -> None:
-        """Forget the episodes: another policy drives from now on."""
         self._rows.clear()
         self._uncounted = 0
 
     def rows(self) -> list[MetricsRow]:
-        """The episodes' metrics."""
         return [dict(zip(self.names, row, strict=True)) for row in self._rows]
 
     @property

@@ -46,7 +46,6 @@ class TrainingStatus:
     activity: str = "training"
 
     def counts(self) -> str:
-        """The current activity and the number of frames."""
         return f"{self.activity}  {self.frames:,} of {self.total_frames:,} frames"
 
     def statistics(self, *, brief: bool = False) -> str:
@@ -213,7 +212,6 @@ class RunStatus:
         return {"speed/frames": frames_per_s, "speed/updates": updates_per_s}
 
     def begin_evaluation(self, frames: int) -> None:
-        """Report that an evaluation begins."""
         self._evaluation_start = time.monotonic()
         self.report_evaluation(frames, 0)
 
@@ -280,7 +278,6 @@ class SpeedMeter:
         self._evaluation_s = evaluation_s
 
     def restart(self) -> None:
-        """Forget all speeds: another phase begins."""
         self._marks.clear()
         self.latest = (0.0, 0.0)
 
