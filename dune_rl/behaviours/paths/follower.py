@@ -9,7 +9,13 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from pydantic import Field, model_validator
 
-from dune_rl.behaviours.paths.loops import LoopStops, PathStops, advance_on_paths, hold_back_on_paths
+from dune_rl.behaviours.paths.loops import (
+    LoopStops,
+    advance_on_paths,
+    hold_back_on_paths,
+    limit_steps,
+    next_stop,
+)
 from dune_rl.behaviours.paths.splines import (
     SPACING_M,
     PathBank,
@@ -117,7 +123,7 @@ class PathFollower:
         # See `loops`.
         self._agents = self._travelled, self._step, self._offsets, self._targets
         self._scenes = np.arange(len(worlds))
-        self._stops = PathStops(len(worlds), count, conf.pauses_s * speed_mps)
+        self._next_stop_m, self._pause_left_m = np.zeros((2, len(worlds), count))
         self._has_stops = conf.mode == "once" or conf.pauses_s > 0.0
 
     def find_paths(self, world: World, sample_points: SamplePoints, rng: np.random.Generator) -> None:
@@ -252,8 +258,8 @@ class PathFollower:
                 self.goals_w[row] = bank.far_end(loop)[:2]
             if apart >= 1.0:
                 break
-        drawn = self._loop[scene, agent], self._travelled[scene, agent]
-        self._stops.reset(scene, agent, float(drawn[1]), int(drawn[0]), stops)
+        drawn = int(self._loop[scene, agent]), float(self._travelled[scene, agent])
+        self._next_stop_m[scene, agent], self._pause_left_m[scene, agent] = next_stop(stops, *drawn), 0.0
         self._outbound[row] = True
         self._offsets[scene, agent] = 0.0
         return found, farthest
@@ -265,7 +271,11 @@ class PathFollower:
             bank, _, stops = self._paths[world]
             rows = self._scenes[scenes]
             if self._has_stops:
-                self._stops.limit(rows, self._loop, self._travelled, stops, self._distances)
+                pause_m, agents = (
+                    self.conf.pauses_s * self._speed_mps,
+                    (self._next_stop_m, self._pause_left_m),
+                )
+                limit_steps(stops, rows, self._loop, self._travelled, pause_m, agents, self._distances)
             advance_on_paths(bank.arrays, rows, self._loop, self._distances, SPACING_M, self._agents)
         poses = self._targets.copy()
         if self._offsets.any():

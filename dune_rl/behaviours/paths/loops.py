@@ -104,32 +104,8 @@ class LoopStops(NamedTuple):
         return cls(at, np.cumsum(counts) - counts, counts, np.array(lengths, float), np.array(ends, float))
 
 
-class PathStops:
-    """How far M * G agents may go in a step: to the next stop, where each pauses for `pause_m`.
-
-    Pauses are given as the way [m] that the agents would walk in that time.
-    """
-
-    def __init__(self, num_scenes: int, count: int, pause_m: float) -> None:
-        self._pause_m = pause_m
-        self._next_m = np.full((num_scenes, count), np.inf)
-        self._pause_left_m = np.zeros((num_scenes, count))
-
-    def reset(self, scene: int, agent: int, travelled_m: float, loop: int, stops: LoopStops) -> None:
-        """Set the stops of an agent that starts on a loop after `travelled_m`."""
-        self._pause_left_m[scene, agent] = 0.0
-        self._next_m[scene, agent] = _next_stop(stops, loop, travelled_m)
-
-    def limit(
-        self, scenes: Counts, loops: Counts, travelled_m: Array, stops: LoopStops, distances_m: Array
-    ) -> None:
-        """Shorten the steps `distances_m` (M, G) of the agents of `scenes` (S,)."""
-        agents = self._next_m, self._pause_left_m
-        _limit_steps(stops, scenes, loops, travelled_m, self._pause_m, agents, distances_m)
-
-
 @compile_function
-def _next_stop(stops: Any, loop: int, travelled_m: float) -> float:
+def next_stop(stops: Any, loop: int, travelled_m: float) -> float:
     """The way at the first stop after `travelled_m`; inf without stops."""
     at, starts, counts, lengths, _ = stops
     first, count, length = starts[loop], counts[loop], lengths[loop]
@@ -143,17 +119,21 @@ def _next_stop(stops: Any, loop: int, travelled_m: float) -> float:
 
 
 @compile_function
-def _limit_steps(
+def limit_steps(
     stops: Any, scenes: Any, loops: Any, travelled: Any, pause_m: float, agents: Any, distances: Any
 ) -> None:
-    """See `PathStops.limit`; `agents` are the next stops and the rest of pauses, (M, G) each [m]."""
+    """Shorten the steps `distances` (M, G) [m] of the agents of `scenes` (S,), which pause at their stops.
+
+    `agents` are the next stops and what is left of pauses, (M, G) each, which change; pauses are given as the
+    way [m] that agents would walk in that time.
+    """
     next_m, pause_left = agents
     for scene in scenes:
         for agent in range(loops.shape[1]):
             loop, way = loops[scene, agent], travelled[scene, agent]
             if way >= next_m[scene, agent] - _SAME_M:
                 pause_left[scene, agent] = pause_m
-                next_m[scene, agent] = _next_stop(stops, loop, way)
+                next_m[scene, agent] = next_stop(stops, loop, way)
             rest = min(pause_left[scene, agent], distances[scene, agent])
             pause_left[scene, agent] -= rest
             most = min(next_m[scene, agent], stops[4][loop]) - way

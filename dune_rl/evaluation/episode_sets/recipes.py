@@ -29,37 +29,21 @@ _SET_SEED = 140_000
 _NO_SEED = ", since the world has no seed"
 
 
-@dataclass(frozen=True)
-class SetVariant:
-    """A kind of sets, of which every world family has one.
-
-    `overrides` are settings beside the defaults; goals lie `goal_distance_m` from the start [m].
-    """
-
-    suffix: str
-    meaning: str
-    overrides: tuple[str, ...] = ()
-    goal_distance_m: tuple[float, float | None] = (2.0, None)
-
-
-VARIANTS = (
-    SetVariant("", "goals on the world's own square, two walkers"),
-    SetVariant(
+# Kinds of sets, of which every world family has one: the end of its name, its meaning, settings beside the
+# defaults, and how far goals lie from the start [m].
+VARIANTS: tuple[tuple[str, str, str, tuple[float, float | None]], ...] = (
+    ("", "goals on the world's own square, two walkers", "", (2.0, None)),
+    (
         "-site",
         "starts and goals anywhere on the site, 15 to 50 m apart, two walkers",
-        (
-            "task.spawn.region=anywhere",
-            "task.spawn.min_goal_distance_m=15.0",
-            "task.terminations.time_limit.max_steps=6000",
-        ),
+        "task.spawn.region=anywhere task.spawn.min_goal_distance_m=15.0 "
+        "task.terminations.time_limit.max_steps=6000",
         (15.0, 50.0),
     ),
-    SetVariant("-crowd", "goals on the world's own square, eight walkers", ("actors.walker.count=8",)),
+    ("-crowd", "goals on the world's own square, eight walkers", "actors.walker.count=8", (2.0, None)),
 )
-
-
 # What the sets of a variant need of one family: on the land of a smaller island no two places are 15 m apart.
-_OF_FAMILY = {("island", "-site"): ("world.radius_m=20",)}
+_OF_FAMILY = {("island", "-site"): "world.radius_m=20"}
 
 
 @dataclass(frozen=True)
@@ -110,16 +94,15 @@ class SetRecipe:
 
 def all_recipes() -> dict[str, SetRecipe]:
     """The recipes of the package's sets, by name."""
-    recipes = (_package_recipe(family, variant) for family in FAMILIES for variant in VARIANTS)
-    return {recipe.name: recipe for recipe in recipes}
-
-
-def _package_recipe(family: str, variant: SetVariant) -> SetRecipe:
-    words = ("robot=rover_zero", *variant.overrides, *_OF_FAMILY.get((family, variant.suffix), ()))
-    # Another one for each set.
-    seed = _SET_SEED + 10 * FAMILIES.index(family) + VARIANTS.index(variant)
-    name = f"{family}{variant.suffix}-v1"
-    return SetRecipe(name, family, words, variant.meaning, variant.goal_distance_m, seed)
+    recipes = {}
+    for number, family in enumerate(FAMILIES):
+        for variant, (suffix, meaning, words, distances_m) in enumerate(VARIANTS):
+            name = f"{family}{suffix}-v1"
+            overrides = ("robot=rover_zero", *words.split(), *_OF_FAMILY.get((family, suffix), "").split())
+            # Another seed for each set.
+            seed = _SET_SEED + 10 * number + variant
+            recipes[name] = SetRecipe(name, family, overrides, meaning, distances_m, seed)
+    return recipes
 
 
 def generate_episodes(recipe: SetRecipe) -> tuple[SetEpisode, ...]:
