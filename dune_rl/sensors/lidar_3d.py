@@ -9,14 +9,7 @@ from pydantic import Field, model_validator
 from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.geometry.shared_per_scene import BatchedRayScenes
 from dune_rl.rendering.scenery import Segment, luminance
-from dune_rl.sensors.beams import (
-    Elevation,
-    LargestRange,
-    bearings,
-    check_elevations,
-    columns_by_mesh,
-    fan,
-)
+from dune_rl.sensors.beams import Elevation, LargestRange, bearings, check_elevations, columns_by_mesh, fan
 from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.lidar import ScannerConf
 from dune_rl.sensors.medium import RangeEffect, effects_of
