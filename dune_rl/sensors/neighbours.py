@@ -26,7 +26,8 @@ class SensedAgents:
     """The A agents of the groups that are looked at, for each of N rows.
 
     `position_w` and `velocity_w` are (N, A, 2) [m, m/s]; `present` (N, A) is False for the looking agent
-    itself, and for agents that are not in the scene. `radius_m` and `is_robot` are (A,).
+    itself, and for agents that are not in the scene. `radius_m` and `is_robot` are (A,), `goal_w` (N, A, 2)
+    [m] where goals are asked for.
     """
 
     position_w: Array
@@ -34,51 +35,33 @@ class SensedAgents:
     present: Flags
     radius_m: Array
     is_robot: Flags
+    goal_w: Array
 
 
-def sense_agents(names: Sequence[str], observer: GroupState, state: State) -> SensedAgents:
+def sense_agents(
+    names: Sequence[str], observer: GroupState, state: State, *, goals: bool = False
+) -> SensedAgents:
     """The agents of the groups `names` in the scene of each agent of the group `observer`."""
     rows = len(observer.motion.position_w)
-    positions, velocities = [np.zeros((rows, 0, 2))], [np.zeros((rows, 0, 2))]
-    present, radii, robots = [np.zeros((rows, 0), bool)], [np.zeros(0)], [np.zeros(0, bool)]
+    none, nobody = np.zeros((rows, 0, 2)), np.zeros(0)
+    parts = [(none, none, none[..., 0].astype(bool), nobody, nobody.astype(bool), none)]
     for name in names:
-        other = state.groups[name]
-        if _is_alone(other, observer):
+        other, is_own = state.groups[name], name == observer.name
+        if is_own and other.count == 1:
+            # Nobody but the one agent of a scene that looks.
             continue
-        positions.append(_for_each(other.motion.position_w, other, observer))
-        velocities.append(_for_each(other.motion.velocity_w, other, observer))
-        is_itself = (
-            np.eye(observer.count, dtype=bool) if name == observer.name else np.zeros((1, other.count), bool)
-        )
+        is_itself = np.eye(other.count, dtype=bool) if is_own else np.zeros((1, other.count), bool)
         there = np.tile(~is_itself, (rows // len(is_itself), 1))
         if other.absent is not None:
             there &= ~np.repeat(other.by_scene(other.absent), observer.count, axis=0)
-        present.append(there)
-        radii.append(np.full(other.count, other.body.radius_m))
-        robots.append(np.full(other.count, other.body.is_robot))
-    return SensedAgents(
-        np.concatenate(positions, axis=1),
-        np.concatenate(velocities, axis=1),
-        np.concatenate(present, axis=1),
-        np.concatenate(radii),
-        np.concatenate(robots),
-    )
-
-
-def sense_goals(names: Sequence[str], observer: GroupState, state: State) -> Array:
-    """The goals (N, A, 2) [m] of the agents that `sense_agents` finds, in the same order."""
-    rows = len(observer.motion.position_w)
-    goals = [np.zeros((rows, 0, 2))]
-    for name in names:
-        other = state.groups[name]
-        if not _is_alone(other, observer):
-            goals.append(_for_each(other.goal.position_w, other, observer))
-    return np.concatenate(goals, axis=1)
-
-
-def _is_alone(other: GroupState, observer: GroupState) -> bool:
-    """Whether a group has nobody but the one agent of a scene that looks."""
-    return other.name == observer.name and other.count == 1
+        position = _for_each(other.motion.position_w, other, observer)
+        velocity = _for_each(other.motion.velocity_w, other, observer)
+        goal = _for_each(other.goal.position_w, other, observer) if goals else none
+        radius = np.full(other.count, other.body.radius_m)
+        is_robot = np.full(other.count, other.body.is_robot)
+        parts.append((position, velocity, there, radius, is_robot, goal))
+    joined = (np.concatenate(each, axis=min(1, each[0].ndim - 1)) for each in zip(*parts, strict=True))
+    return SensedAgents(*joined)
 
 
 def _for_each(values: Array, other: GroupState, observer: GroupState) -> Array:
@@ -172,7 +155,7 @@ class Neighbours(VectorSensor):
 
     def measure(self, now: GroupState, state: State) -> None:
         names = self._conf.groups or tuple(state.groups)
-        others = sense_agents(names, now, state)
+        others = sense_agents(names, now, state, goals=self._conf.goals)
         number = min(self._conf.number, others.present.shape[1])
         reading = np.zeros((len(self._reading), self._conf.number, self._values))
         own = now.motion.position_w[:, None, :2]
@@ -185,8 +168,7 @@ class Neighbours(VectorSensor):
         cos, sin = np.cos(now.motion.yaw)[:, None], np.sin(now.motion.yaw)[:, None]
         listed = [(1, offset), (3, closing)]
         if self._conf.goals:
-            goals = sense_goals(names, now, state)
-            listed.append((_VALUES, np.where(others.is_robot[:, None], goals - own, 0.0)))
+            listed.append((_VALUES, np.where(others.is_robot[:, None], others.goal_w - own, 0.0)))
         for first, vectors in listed:
             x, y = (np.take_along_axis(vectors[..., axis], nearest, axis=1) for axis in (0, 1))
             reading[:, :number, first] = cos * x + sin * y

@@ -52,10 +52,7 @@ class Velocity(VectorSensor):
         super().__init__(name, context.num_rows, -_HIGHEST, _HIGHEST)
 
     def measure(self, now: GroupState, state: State) -> None:
-        values = np.empty((len(self._reading), 2), np.float32)
-        values[:, 0] = now.motion.velocity_b[:, 0]
-        values[:, 1] = now.motion.angular_b[:, 2]
-        self._store(values)
+        self._store(np.stack([now.motion.velocity_b[:, 0], now.motion.angular_b[:, 2]], axis=1))
 
 
 class EstimatedVelocity(VectorSensor):
