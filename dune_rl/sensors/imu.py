@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from dune_rl.core.constants import GRAVITY_MPS2
-from dune_rl.geometry.arrays import Array, Flags, Floats
+from dune_rl.geometry.arrays import Flags
 from dune_rl.geometry.compiled import compile_function
 from dune_rl.geometry.frames import cross
 from dune_rl.sensors.context import SensorContext
@@ -29,49 +29,49 @@ class ImuConf(SensorSettings):
     mount_b: Mount = MOUNT
 
 
-class Imu:
-    """Measurements of N inertial units.
+class ImuSensor(VectorSensor):
+    """The reading `name`, (N, 9): specific force [m/s²], angular velocity [rad/s], and roll, pitch, yaw.
 
-    The acceleration is the change of the mount's velocity over the last control step: the mean of what the
-    unit felt during it.
+    Angles are in [rad], all else in the body frame. At rest on level ground it reads (0, 0, +9.81) first.
+    `acceleration_b` (N, 3) [m/s²], without gravity, is the change of the mount's velocity over the last
+    control step: the mean of what the unit felt during it.
     """
 
-    def __init__(self, conf: ImuConf, num_rows: int) -> None:
-        self.conf = conf
-        self._previous_velocity = np.zeros((num_rows, 3))
-        self.acceleration_b = np.zeros((num_rows, 3))
-        self._mount = mount_position(conf.mount_b)
+    def __init__(self, name: str, context: SensorContext, conf: ImuConf) -> None:
+        self._limits = conf.acceleration_range_mps2, conf.angular_range_radps
+        high = np.repeat([*self._limits, PI32], 3)
+        super().__init__(name, context.num_rows, -high, high)
+        self._mount, self._step_s = mount_position(conf.mount_b), context.step_s
+        self._velocity_w, self.acceleration_b = np.zeros((2, context.num_rows, 3))
 
-    def begin(self, mask: Flags, rotation: Array, velocity_w: Array, angular_w: Array) -> None:
-        """Start from the present motion, unaccelerated, in the scenes in `mask` (M,)."""
-        velocity = velocity_w + cross(angular_w, rotation @ self._mount)
-        self._previous_velocity = np.where(mask[:, None], velocity, self._previous_velocity)
+    def begin(self, mask: Flags, now: GroupState, state: State) -> None:
+        """Start the episodes in `mask` (N,) from the present motion, unaccelerated."""
+        motion = now.motion
+        velocity_w = motion.velocity_w + cross(motion.angular_w, motion.rotation @ self._mount)
+        self._velocity_w = np.where(mask[:, None], velocity_w, self._velocity_w)
         self.acceleration_b = np.where(mask[:, None], 0.0, self.acceleration_b)
+        self._take(now)
 
-    def measure(self, rotation: Array, velocity_w: Array, angular_w: Array, step_s: float) -> Array:
-        """Acceleration without gravity in the body frame [m/s²], (M, 3), over the last `step_s`.
-
-        `rotation` (M, 3, 3); `velocity_w` and `angular_w` (M, 3) are the
-        body's. Call it once per control step: it keeps the velocity.
-        """
-        velocity, self.acceleration_b = np.empty_like(self._previous_velocity), np.empty((len(rotation), 3))
+    def measure(self, now: GroupState, state: State) -> None:
+        motion, before = now.motion, self._velocity_w
+        self._velocity_w, self.acceleration_b = np.empty((2, *before.shape))
         _accelerate(
-            rotation, velocity_w, angular_w, self._mount, step_s, self._previous_velocity, velocity,
-            self.acceleration_b,
+            motion.rotation, motion.velocity_w, motion.angular_w, self._mount, self._step_s, before,
+            self._velocity_w, self.acceleration_b,
         )  # fmt: skip
-        self._previous_velocity = velocity
-        return self.acceleration_b
+        self._take(now)
 
-    def reading(self, rotation: Array, angular_b: Array, roll_pitch_yaw: Array) -> Floats:
-        """Specific force [m/s²], angular velocity [rad/s], and roll, pitch, yaw [rad], body frame, (M, 9).
-
-        At rest on level ground the accelerometer reads (0, 0, +9.81).
-        """
-        conf = self.conf
-        out = np.empty((len(rotation), 9), np.float32)
-        limits = conf.acceleration_range_mps2, conf.angular_range_radps
-        _take_reading(self.acceleration_b, rotation, angular_b, roll_pitch_yaw, limits, out)
-        return out
+    def _take(self, now: GroupState) -> None:
+        motion, reading = now.motion, np.empty_like(self._reading)
+        _take_reading(
+            self.acceleration_b,
+            motion.rotation,
+            motion.angular_b,
+            motion.roll_pitch_yaw,
+            self._limits,
+            reading,
+        )
+        self._reading = reading
 
 
 @compile_function
@@ -107,27 +107,3 @@ def _take_reading(
             found[row, axis] = min(max(force, -most_acceleration), most_acceleration)
             found[row, 3 + axis] = min(max(angular_b[row, axis], -most_turn), most_turn)
             found[row, 6 + axis] = angles[row, axis]
-
-
-class ImuSensor(VectorSensor):
-    """The reading `name`, (N, 9): specific force, angular velocity and attitude; see `Imu.reading`."""
-
-    def __init__(self, name: str, context: SensorContext, conf: ImuConf) -> None:
-        self._imu, self._step_s = Imu(conf, context.num_rows), context.step_s
-        ranges = [conf.acceleration_range_mps2] * 3 + [conf.angular_range_radps] * 3 + [PI32] * 3
-        high = np.array(ranges, np.float32)
-        super().__init__(name, context.num_rows, -high, high)
-
-    def begin(self, mask: Flags, now: GroupState, state: State) -> None:
-        """Start the episodes in `mask` (M,) unaccelerated."""
-        self._imu.begin(mask, now.motion.rotation, now.motion.velocity_w, now.motion.angular_w)
-        self._take(now)
-
-    def measure(self, now: GroupState, state: State) -> None:
-        self._imu.measure(now.motion.rotation, now.motion.velocity_w, now.motion.angular_w, self._step_s)
-        self._take(now)
-
-    def _take(self, now: GroupState) -> None:
-        self._reading = self._imu.reading(
-            now.motion.rotation, now.motion.angular_b, now.motion.roll_pitch_yaw
-        )

@@ -1,17 +1,58 @@
 """The inertial unit against mechanics worked out by other means."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scanning import sensed_speed, turned
 from scenes import SUBSTEPS, Drive, Stage, about, every_backend
+from sensor_contexts import context_of
 from sensors_of_rover_zero import imu_conf
 from states import motion_of
 
 from dune_rl.geometry.frames import rotation_matrices
-from dune_rl.sensors.imu import Imu, ImuConf
+from dune_rl.sensors.imu import ImuConf, ImuSensor
 
 LEVEL = np.eye(3)
 ALL = np.array([True])
+
+
+class Imu:
+    """The sensor, given its motion as arrays."""
+
+    def __init__(self, conf: ImuConf, num_rows: int) -> None:
+        self._sensor = ImuSensor("imu", context_of(num_rows), conf)
+
+    @property
+    def acceleration_b(self) -> np.ndarray:
+        return self._sensor.acceleration_b
+
+    def begin(self, mask: np.ndarray, *motion: np.ndarray) -> None:
+        self._sensor.begin(mask, moving(*motion), None)
+
+    def measure(self, rotation: np.ndarray, velocity_w: np.ndarray, angular_w: np.ndarray, step_s: float):
+        self._sensor._step_s = step_s
+        self._sensor.measure(moving(rotation, velocity_w, angular_w), None)
+        return self.acceleration_b
+
+    def reading(self, rotation: np.ndarray, angular_b: np.ndarray, roll_pitch_yaw: np.ndarray) -> np.ndarray:
+        self._sensor._take(moving(rotation, angular_b, angular_b, angular_b, roll_pitch_yaw))
+        return self._sensor.read()["imu"]
+
+
+def moving(
+    rotation: np.ndarray,
+    velocity_w: np.ndarray,
+    angular_w: np.ndarray,
+    angular_b: np.ndarray | None = None,
+    angles: np.ndarray | None = None,
+) -> SimpleNamespace:
+    """A group's state of which the sensor reads the motion alone."""
+    rest = np.zeros_like(velocity_w)
+    motion = SimpleNamespace(rotation=rotation, velocity_w=velocity_w, angular_w=angular_w)
+    motion.angular_b = rest if angular_b is None else angular_b
+    motion.roll_pitch_yaw = rest if angles is None else angles
+    return SimpleNamespace(motion=motion)
 
 
 def imu_after(
