@@ -234,6 +234,7 @@ def test_a_sweep_gives_each_job_its_folder_and_outlives_a_failure(
          "that python -m dune_rl.evaluate wrote\n"),
         (evaluate, ["resume=file", "seed=3"],
          "resume=FOLDER has the settings of its folder; leave seed=3 out (it takes processes=N)\n"),
+        (evaluate, ["verify=file", "sample=0"], "sample must be a whole number of at least 1 (got 0)\n"),
         (evaluate, ["-m", "policy=random"], "this command runs once; leave -m out\n"),
         (evaluate, ["+world=flat"],
          "choose a policy: checkpoint=PATH, or policy=NAME with go_to_goal, mppi, planner, random, "
