@@ -15,6 +15,7 @@ from dune_rl.bodies.person import PersonConf
 from dune_rl.bodies.registry import BODIES
 from dune_rl.commands.engines import EnginesConf
 from dune_rl.commands.pages import PAGES, HelpPage
+from dune_rl.commands.report import ReportConf
 from dune_rl.config.agents import AgentGroupConf
 from dune_rl.config.commands import BenchmarkConf, EvaluateConf, ViewConf
 from dune_rl.config.compose import compose_environment
@@ -29,7 +30,6 @@ from dune_rl.metrics.episode import MetricsConf
 from dune_rl.metrics.registry import METRICS
 from dune_rl.physics.interface import PhysicsConf
 from dune_rl.rendering.weather import WeatherConf
-from dune_rl.reporting.settings import ReportConf
 from dune_rl.robots.registry import ROBOTS
 from dune_rl.sensors.registry import SENSORS
 from dune_rl.sensors.settings import SensorSettings

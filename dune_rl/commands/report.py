@@ -4,119 +4,131 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from rich.console import Console
+from pydantic import Field
 
 from dune_rl.commands import command_line
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.paths import unused_folder
-from dune_rl.reporting.drawing import DRAWN, plan_figures
-from dune_rl.reporting.layout import collect_findings, describe_note, figures_of, lay_out, tables_of
-from dune_rl.reporting.markdown_blocks import rewrite_file
-from dune_rl.reporting.output import FIGURES, PAGE, TABLES, check_folder, write_aside, write_report
-from dune_rl.reporting.page.render import FigureBlock, Section
-from dune_rl.reporting.progress import ReportProgress, show_reading
-from dune_rl.reporting.reading import read_inputs
-from dune_rl.reporting.runs import Note, ReportInputs
-from dune_rl.reporting.settings import ReportConf, parse_words
+from dune_rl.core.settings import Settings
+from dune_rl.reporting.folder import FIGURES, PAGE, TABLES, check_folder, why_no_folder, write_aside
+
+# Everything else takes seconds to load: only when words and folders are right.
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from dune_rl.reporting.inputs import Note, ReportInputs
 
 _NAMES = 3
-# How long steps take, as the amounts of figures.
-_STATISTICS, _WRITTEN = 6.0, 3.0
+_NOTHING = "there is nothing to report; give folders that dune_rl.train or dune_rl.evaluate wrote"
+
+
+class ReportConf(Settings):
+    """Settings of a report."""
+
+    out: str | None = Field(None, min_length=1)
+    overwrite: bool = False
+    title: str | None = Field(None, min_length=1)
+    into: str | None = Field(None, min_length=1)
+    failures: int = Field(12, ge=0, le=100)
+
+
+def parse_words(words: Sequence[str]) -> tuple[list[Path], ReportConf]:
+    """The folders and the settings among the words of a command line; `ConfigError` where they are not valid.
+
+    A word with = is a setting, unless there is a folder of that name.
+    """
+    folders = [word for word in words if "=" not in word or Path(word).exists()]
+    values = {key: text for key, _, text in (word.partition("=") for word in words if word not in folders)}
+    if "into" not in values and not folders:
+        raise ConfigError("name the folders of runs or evaluations: python -m dune_rl.report runs/NAME")
+    from dune_rl.config.checks import validate
+
+    conf = validate(ReportConf, values)
+    others = [*folders, *(key for key in values if key != "into")]
+    if conf.into is not None and others:
+        raise ConfigError(
+            f"into={conf.into} writes the tables that the file itself asks for; leave {others[0]} out"
+        )
+    return [Path(word) for word in folders], conf
 
 
 def run(words: Sequence[str]) -> None:
     """Make a report, or rewrite the tables of a Markdown file, as the command line says."""
-    parsed = command_line.parse_arguments(words)
-    folders, conf = parse_words(parsed.overrides)
+    folders, conf = parse_words(command_line.parse_arguments(words).overrides)
     console = command_line.make_console()
     if conf.into is not None:
+        if not Path(conf.into).exists():
+            raise ConfigError(f"into={conf.into}: there is no such file")
         with _say_when_cut_off(console, f"{conf.into} is as it was"):
             _rewrite(Path(conf.into), console)
     else:
         make_report(folders, conf, console)
 
 
-def _rewrite(file: Path, console: Console) -> None:
+def _rewrite(file: Path, console: "Console") -> None:
+    from dune_rl.reporting.markdown import rewrite_file
+
     rewritten = rewrite_file(file)
-    _print_notes("left out", rewritten.skipped)
-    _print_notes("note", rewritten.notes)
+    _print_notes(rewritten.skipped, rewritten.notes)
     tables = "1 table" if rewritten.blocks == 1 else f"{rewritten.blocks} tables"
-    console.print(f"{file}: {tables} written", highlight=False, markup=False, soft_wrap=True)
+    _print(console, f"{file}: {tables} written")
 
 
-def make_report(folders: Sequence[Path], conf: ReportConf, console: Console) -> Path:
+def make_report(folders: Sequence[Path], conf: ReportConf, console: "Console") -> Path:
     """Write the report of `folders`; returns its folder. Raises ConfigError if nothing there can be used."""
     now = datetime.now()
     out = Path(conf.out) if conf.out else default_folder(folders, now)
     check_folder(out, overwrite=conf.overwrite)
-    kept = "is as it was" if out.exists() else "was not written"
-    with _say_when_cut_off(console, f"the report in {out} {kept}"):
-        with show_reading(console) as show:
-            inputs = read_inputs(folders, lambda path: show(path.name))
-        _print_notes("left out", inputs.skipped)
-        _print_notes("note", inputs.notes)
+    reasons = [why_no_folder(folder) for folder in folders]
+    if all(reasons):
+        for folder, reason in zip(folders, reasons, strict=True):
+            command_line.print_error(f"left out: {folder}: {reason}")
+        raise ConfigError(_NOTHING)
+    with _say_when_cut_off(
+        console, f"the report in {out} {'is as it was' if out.exists() else 'was not written'}"
+    ):
+        from dune_rl.reporting.output import ReportProgress, write_report
+        from dune_rl.reporting.page import figures_of, tables_of
+        from dune_rl.reporting.reading import read_inputs
+        from dune_rl.reporting.sections import collect_findings, lay_out
+
+        with ReportProgress(console) as progress:
+            inputs = read_inputs(folders, lambda path: progress.begin(f"reading {path.name}"))
+        _print_notes(inputs.skipped, inputs.notes)
         if not inputs.usable:
-            raise ConfigError(
-                "there is nothing to report; give folders that dune_rl.train or dune_rl.evaluate wrote"
-            )
-        with write_aside(out, overwrite=conf.overwrite) as folder:
-            sections = _write(folder, inputs, conf, now, console)
-    console.print(
-        f"Report: {out / PAGE}\n"
-        f"{len(figures_of(sections))} figures: {out / FIGURES}\n"
-        f"{len(tables_of(sections))} tables: {out / TABLES}",
-        highlight=False,
-        markup=False,
-        soft_wrap=True,
-    )
+            raise ConfigError(_NOTHING)
+        title, date = conf.title or default_title(inputs), f"{now:%Y-%m-%d %H:%M}"
+        with write_aside(out, overwrite=conf.overwrite) as folder, ReportProgress(console) as progress:
+            progress.begin("statistics")
+            sections = lay_out(collect_findings(inputs), conf.failures, progress)
+            write_report(folder, title, describe_inputs(inputs), sections, date, progress)
+    _print(console, f"Report: {out / PAGE}")
+    _print(console, f"{len(figures_of(sections))} figures: {out / FIGURES}")
+    _print(console, f"{len(tables_of(sections))} tables: {out / TABLES}")
     return out
 
 
-def _write(
-    folder: Path, inputs: ReportInputs, conf: ReportConf, now: datetime, console: Console
-) -> list[Section]:
-    findings = collect_findings(inputs)
-    progress = ReportProgress(console)
-    plans = plan_figures(findings, conf.failures, progress)
-    statistics = _STATISTICS * len(findings.comparisons)
-    progress.expect(statistics + sum(plan.amount + _WRITTEN for plan in plans))
-    with progress:
-        for comparison in findings.comparisons:
-            progress.begin("statistics")
-            # Computed once, and kept.
-            _ = comparison.estimates, comparison.pairs
-            progress.finish(_STATISTICS)
-        figures: dict[str, list[FigureBlock]] = {}
-        for number, plan in enumerate(plans, 1):
-            progress.begin(f"drawing figure {number} of {len(plans)}")
-            figures.setdefault(plan.section, []).append(plan.block())
-            progress.finish(DRAWN)
-        sections = lay_out(findings, figures)
-        progress.begin("writing the report")
-        write_report(
-            folder,
-            conf.title or default_title(inputs),
-            describe_inputs(inputs),
-            sections,
-            f"{now:%Y-%m-%d %H:%M}",
-            lambda: progress.finish(_WRITTEN),
-        )
-    return sections
+def _print(console: "Console", line: str) -> None:
+    console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
-def _print_notes(kind: str, notes: Sequence[Note]) -> None:
-    for note in notes:
-        command_line.print_error(f"{kind}: {describe_note(note)}")
+def _print_notes(skipped: Sequence["Note"], notes: Sequence["Note"]) -> None:
+    from dune_rl.reporting.page import shown_path
+
+    for kind, those in (("left out", skipped), ("note", notes)):
+        for note in those:
+            command_line.print_error(f"{kind}: {shown_path(note.path)}: {note.text}")
 
 
 @contextmanager
-def _say_when_cut_off(console: Console, state: str) -> Iterator[None]:
+def _say_when_cut_off(console: "Console", state: str) -> Iterator[None]:
     """Say in which `state` an interruption leaves the files."""
     try:
         yield
     except (KeyboardInterrupt, command_line.Terminated):
-        console.print(f"Cut off: {state}", highlight=False, markup=False, soft_wrap=True)
+        _print(console, f"Cut off: {state}")
         raise
 
 
@@ -128,7 +140,8 @@ def default_folder(folders: Sequence[Path], now: datetime) -> Path:
     return unused_folder(Path("reports"), now, names)
 
 
-def default_title(inputs: ReportInputs) -> str:
+def default_title(inputs: "ReportInputs") -> str:
+    """The names of what is reported."""
     by_kind = (inputs.sweeps, inputs.evaluations, inputs.training)
     names = list(dict.fromkeys(one.name for kind in by_kind for one in kind))
     if len(names) > _NAMES:
@@ -136,7 +149,7 @@ def default_title(inputs: ReportInputs) -> str:
     return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
-def describe_inputs(inputs: ReportInputs) -> list[str]:
+def describe_inputs(inputs: "ReportInputs") -> list[str]:
     """How much there is of what, in a sentence."""
     counts = (
         (len(inputs.evaluations), "evaluation"),

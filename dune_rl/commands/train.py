@@ -233,8 +233,7 @@ def train(conf: Conf, resume: Path | None = None, words: Sequence[str] = ()) -> 
 def _film(console: Console, conf: Conf, result: "TrainingResult") -> None:
     """Write the film of the best policy in the first episode of the run's evaluations."""
     from dune_rl.learning.run.tensorboard import log_film
-    from dune_rl.reporting.views.episode import EpisodeView
-    from dune_rl.reporting.views.outputs import write_video
+    from dune_rl.reporting.views.episode import EpisodeView, write_video
 
     environment = {name: getattr(conf, name) for name in EnvConf.model_fields}
     view = ViewConf(

@@ -75,8 +75,7 @@ def _view(conf: ViewConf) -> None:
         command_line.print_world_notes(console, conf)
         _print_path(console, write_map(conf, folder / f"{_stem(conf)}_map.png", console))
         return
-    from dune_rl.reporting.views.episode import EpisodeView
-    from dune_rl.reporting.views.outputs import write_orbit, write_sheet, write_video
+    from dune_rl.reporting.views.episode import EpisodeView, write_orbit, write_sheet, write_video
 
     episode = EpisodeView(conf)
     try:

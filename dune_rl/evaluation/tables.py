@@ -10,10 +10,8 @@ from rich.text import Text
 
 from dune_rl.core.files import write_atomically, write_csv
 from dune_rl.evaluation.columns import describe_columns
-from dune_rl.metrics.catalogue import measure_of, measures_of
+from dune_rl.metrics.catalogue import MINUS, Measure, format_difference, format_value, measure_of, measures_of
 from dune_rl.metrics.episode import MetricsConf
-from dune_rl.metrics.measure import Measure
-from dune_rl.metrics.number_text import MINUS, format_difference, format_value
 from dune_rl.statistics.intervals import Estimate
 from dune_rl.statistics.measures import MetricsRow, cluster_rows
 from dune_rl.statistics.paired_comparison import PairedComparison, compare_success

@@ -9,7 +9,7 @@ All cases weigh the same, however many units they have. The values are those of 
 which is not used as it needs pandas, seaborn and arch besides.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -79,33 +79,35 @@ def interquartile_mean(scores: Array, weights: Array) -> Array:
     return found
 
 
-def aggregate_scores(scores: Scores, gap_below: float = 1.0) -> dict[str, Estimate]:
+def aggregate_scores(scores: Scores) -> dict[str, Estimate]:
     """IQM, median, mean and optimality gap of a method, each with its interval.
 
     The median is that of the means of the cases, the mean their mean, and the gap is how far scores stay
-    below `gap_below` on average. The count is that of all units. Cases without scores are left out.
+    below 1 on average. The count is that of all units. Cases without scores are left out.
     """
     kept = {cases: values for cases, values in scores.items() if len(values)}
     if not kept:
         nothing = Estimate(np.nan, np.nan, np.nan, 0)
         return {name: nothing for name in ("IQM", "median", "mean", "optimality gap")}
-    own = {cases: values[None] for cases, values in kept.items()}
-    resampled = {
-        cases: values[drawn] for (cases, values), drawn in zip(kept.items(), _draws(kept), strict=True)
-    }
+    own = _measures({cases: values[None] for cases, values in kept.items()})
+    resampled = _measures(
+        {cases: values[drawn] for (cases, values), drawn in zip(kept.items(), _draws(kept), strict=True)}
+    )
     count = sum(len(values) for values in kept.values())
-    measures: dict[str, Callable[[dict[str, Array]], Array]] = {
-        "IQM": _pooled_iqm,
-        "median": lambda found: np.median(_means(found), axis=1),
-        "mean": lambda found: _means(found).mean(axis=1),
-        "optimality gap": lambda found: (
-            gap_below
-            - _means({cases: np.minimum(values, gap_below) for cases, values in found.items()}).mean(axis=1)
-        ),
-    }
+    return {name: Estimate(float(own[name][0]), *_ends(found), count) for name, found in resampled.items()}
+
+
+def _measures(scores: dict[str, Array]) -> dict[str, Array]:
+    """The aggregates, (R,) each, of resampled scores (R, U) of each set of cases."""
+    pooled = np.concatenate(list(scores.values()), axis=1)
+    weights = [np.full(values.shape, 1.0 / values.shape[1]) for values in scores.values()]
+    means = np.stack([values.mean(axis=1) for values in scores.values()], axis=1)
+    capped = np.stack([np.minimum(values, 1.0).mean(axis=1) for values in scores.values()], axis=1)
     return {
-        name: Estimate(float(measure(own)[0]), *_ends(measure(resampled)), count)
-        for name, measure in measures.items()
+        "IQM": interquartile_mean(pooled, np.concatenate(weights, axis=1)),
+        "median": np.median(means, axis=1),
+        "mean": means.mean(axis=1),
+        "optimality gap": 1.0 - capped.mean(axis=1),
     }
 
 
@@ -144,19 +146,6 @@ def probability_of_improvement(first: Scores, second: Scores) -> Estimate:
         values.append(wins.mean())
         resampled.append(np.einsum("ra,ab,rb->r", times_a, wins, times_b, optimize=True) / wins.size)
     return Estimate(float(np.mean(values)), *_ends(np.mean(resampled, axis=0)), len(shared))
-
-
-def _pooled_iqm(found: dict[str, Array]) -> Array:
-    scores = np.concatenate(list(found.values()), axis=1)
-    weights = np.concatenate(
-        [np.full(values.shape, 1.0 / values.shape[1]) for values in found.values()], axis=1
-    )
-    return interquartile_mean(scores, weights)
-
-
-def _means(found: dict[str, Array]) -> Array:
-    """Means of the cases, (R, C), of scores (R, U) for each."""
-    return np.stack([values.mean(axis=1) for values in found.values()], axis=1)
 
 
 def _draws(scores: Scores) -> list[NDArray[np.int64]]:

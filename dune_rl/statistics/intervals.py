@@ -66,29 +66,17 @@ def estimate_proportion(successes: ArrayLike, clusters: ArrayLike | None = None)
 
 
 def estimate_mean(
-    values: ArrayLike, clusters: ArrayLike | None = None, *, are_counts: bool = False
+    values: ArrayLike, clusters: ArrayLike | None = None, *, are_counts: bool = False, signed: bool = False
 ) -> Estimate:
-    """The mean of the entries that are not NaN, with a bootstrap interval; see `estimate_ratio`."""
-    return _estimate_mean(values, clusters, are_counts, signed=False)
+    """The mean of the entries that are not NaN, with a bootstrap interval; see `estimate_ratio`.
 
-
-def estimate_difference(
-    differences: ArrayLike, clusters: ArrayLike | None = None, *, are_counts: bool = False
-) -> Estimate:
-    """The mean of paired differences that are not NaN, of either sign; else as `estimate_mean`.
-
-    Where few are not 0, the intervals of positive and negative differences are combined by MOVER (Zou &
-    Donner 2008).
+    Paired differences are `signed`: where few are not 0, the intervals of positive and negative ones are
+    combined by MOVER (Zou & Donner 2008).
     """
-    return _estimate_mean(differences, clusters, are_counts, signed=True)
-
-
-def _estimate_mean(
-    values: ArrayLike, clusters: ArrayLike | None, are_counts: bool, *, signed: bool
-) -> Estimate:
     seen = np.asarray(values, float)
     present = ~np.isnan(seen)
-    estimate = _estimate(np.where(present, seen, 0.0), present, clusters, are_counts, signed=signed)
+    sums = np.where(present, seen, 0.0)
+    estimate = estimate_ratio(sums, present, clusters, are_counts=are_counts, signed=signed)
     return replace(estimate, count=int(present.sum()))
 
 
@@ -98,29 +86,19 @@ def estimate_ratio(
     clusters: ArrayLike | None = None,
     *,
     are_counts: bool = False,
+    signed: bool = False,
 ) -> Estimate:
-    """The ratio of both sums, of entries of at least 0, with a studentised bootstrap interval over the pairs.
+    """The ratio of both sums, with a studentised bootstrap interval over the pairs.
 
-    It assumes no distribution, and covers better than percentiles where many entries are 0, as collisions are
-    (Efron & Tibshirani 1993, section 12.5). Clusters are drawn as a whole. Where fewer than ten numerators
-    are above 0, and more are 0, the interval is that of a weighted sum of Poisson variables (Fay & Feuer
-    1997), as a bootstrap knows nothing of what was not seen. Without any event it reaches to 3.7 events in
-    all, if numerators `are_counts` (the two-sided "rule of three", Hanley & Lippman-Hand 1983); else there is
-    no upper end, and both are NaN. Entries of 0 and 0, and NaN, are left out. A
-    bootstrap of fewer than four pairs, and anything of one, has an interval of NaN; equal ratios other than 0
-    have equal ends.
+    Entries are at least 0 unless `signed`. It assumes no distribution, and covers better than percentiles
+    where many entries are 0, as collisions are (Efron & Tibshirani 1993, section 12.5). Clusters are drawn as
+    a whole. Where fewer than ten numerators are above 0, and more are 0, the interval is that of a weighted
+    sum of Poisson variables (Fay & Feuer 1997), as a bootstrap knows nothing of what was not seen. Without
+    any event it reaches to 3.7 events in all, if numerators `are_counts` (the two-sided "rule of three",
+    Hanley & Lippman-Hand 1983); else there is no upper end, and both are NaN. Entries of 0 and 0, and NaN,
+    are left out. A bootstrap of fewer than four pairs, and anything of one, has an interval of NaN; equal
+    ratios other than 0 have equal ends.
     """
-    return _estimate(numerators, denominators, clusters, are_counts, signed=False)
-
-
-def _estimate(
-    numerators: ArrayLike,
-    denominators: ArrayLike,
-    clusters: ArrayLike | None,
-    are_counts: bool,
-    *,
-    signed: bool,
-) -> Estimate:
     above, below = (np.nan_to_num(np.asarray(values, float)) for values in (numerators, denominators))
     count = len(above)
     if clusters is not None:

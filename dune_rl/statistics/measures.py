@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.geometry.arrays import Array
-from dune_rl.metrics.catalogue import measures_of
-from dune_rl.metrics.measure import Measure
+from dune_rl.metrics.catalogue import Measure, measures_of
 from dune_rl.statistics.intervals import (
     Estimate,
     estimate_mean,

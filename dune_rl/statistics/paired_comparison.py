@@ -14,11 +14,10 @@ from numpy.typing import ArrayLike
 from scipy import stats
 
 from dune_rl.geometry.arrays import Array
-from dune_rl.metrics.catalogue import measures_of
-from dune_rl.metrics.measure import Measure
+from dune_rl.metrics.catalogue import Measure, measures_of
 from dune_rl.statistics.intervals import (
     Estimate,
-    estimate_difference,
+    estimate_mean,
     estimate_ratio_difference,
     estimate_share_difference,
     sum_by_cluster,
@@ -187,7 +186,7 @@ def _compare(measure: Measure, first: tuple[str, Rows], second: tuple[str, Rows]
         difference = estimate_share_difference(a > 0, b > 0, clusters)
         p_value, effect = test.p_value, test.only_a / discordant if discordant else np.nan
     else:
-        difference = estimate_difference(a - b, clusters, are_counts=measure.are_counts)
+        difference = estimate_mean(a - b, clusters, are_counts=measure.are_counts, signed=True)
         p_value, effect = sign_flip_test(a - b, clusters), _paired_d(a - b)
     if not len(a):
         p_value = np.nan

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import ListedColormap, LogNorm
+from matplotlib.colors import CenteredNorm, ListedColormap, LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
@@ -17,7 +17,8 @@ from dune_rl.sensors.settings import SensorSettings
 Picture = NDArray[np.uint8]
 Readings = Mapping[str, NDArray[Any]]
 Sensors = Mapping[str, SensorSettings]
-DrawPanel = Callable[[Any], None]
+# What draws a panel, the names of the readings in it, and its projection.
+Panel = tuple[Callable[..., None], list[str], str | None]
 
 _PAPER, _INK, _FAINT = "#10151c", "#e8ecf1", "#3a4656"
 _WARM, _COOL, _GREEN = "#ffc43d", "#5bb8ff", "#40d67a"
@@ -36,66 +37,47 @@ _COLUMNS = 4
 
 def contact_sheet(readings: Readings, conf: Sensors, picture: Picture, title: str) -> Figure:
     """A page with `picture` (H, W, 3) of the scene and a panel for each of one agent's `readings`."""
-    panels = _reading_panels(readings, conf)
-    scans = _scan_panels(readings, conf)
-    shown = {name for _, names in (*panels, *scans) for name in names}
+    panels = _choose_panels(readings, conf)
+    shown = {name for _, names, _ in panels for name in names}
     vectors = {name: value for name, value in readings.items() if name not in shown}
-    count = len(panels) + len(scans) + bool(vectors)
+    if vectors:
+        panels.append((partial(_draw_numbers, readings=vectors), [], None))
     # The picture takes two columns and two rows at the top left of the grid.
-    rows = 2 + max(0, -(-(count - 2 * (_COLUMNS - 2)) // _COLUMNS))
+    rows = 2 + max(0, -(-(len(panels) - 2 * (_COLUMNS - 2)) // _COLUMNS))
     figure = Figure(figsize=(4.0 * _COLUMNS, 3.3 * rows + 0.5), facecolor=_PAPER, layout="constrained")
     figure.suptitle(title, color=_INK, fontsize=17, x=0.01, ha="left")
     grid = figure.add_gridspec(rows, _COLUMNS)
     scene = figure.add_subplot(grid[:2, :2])
     scene.imshow(picture)
     _style(scene, "scene")
-    cells = [(row, column) for row in range(2) for column in range(2, _COLUMNS)]
-    cells += [(row, column) for row in range(2, rows) for column in range(_COLUMNS)]
-    free = iter(cells)
-    for draw, _ in panels:
-        draw(figure.add_subplot(grid[next(free)]))
-    for draw, _ in scans:
-        draw(figure.add_subplot(grid[next(free)], projection="polar"))
-    if vectors:
-        _draw_numbers(figure.add_subplot(grid[next(free)]), vectors)
+    cells = [(row, column) for row in range(rows) for column in range(_COLUMNS) if row > 1 or column > 1]
+    for (draw, _, projection), cell in zip(panels, cells, strict=False):
+        draw(figure.add_subplot(grid[cell], projection=projection))
     return figure
 
 
-def _in_order(conf: Sensors) -> list[tuple[str, SensorSettings]]:
-    """The sensors, first those that are called after their kind, in the order of the panels."""
+def _choose_panels(
+    readings: Readings, conf: Sensors
+) -> list[tuple[Callable[..., None], list[str], str | None]]:
+    """The panels: first those of sensors that are called after their kind, and last planar LiDARs."""
     plain = {kind: conf[kind] for kind in _LABELS if kind in conf and conf[kind].sensor == kind}
-    return list((plain | dict(conf)).items())
-
-
-def _reading_panels(readings: Readings, conf: Sensors) -> list[tuple[DrawPanel, list[str]]]:
-    """A function that draws each panel, and the names of the readings in it."""
-    panels: list[tuple[DrawPanel, list[str]]] = []
-    for name, settings in _in_order(conf):
+    panels: list[Panel] = []
+    scans: list[Panel] = []
+    for name, settings in (plain | dict(conf)).items():
         kind = settings.sensor
+        label = _LABELS[kind] if name == kind and kind in _LABELS else name
         for (panel_kind, output), draw in _PANELS.items():
             reading = f"{name}_{output}" if output else name
             if panel_kind == kind and reading in readings:
-                label = _LABELS[kind] if name == kind else name
-                panels.append(
-                    (partial(draw, reading=readings[reading], conf=settings, label=label), [reading])
-                )
-    return panels
-
-
-def _scan_panels(readings: Readings, conf: Sensors) -> list[tuple[DrawPanel, list[str]]]:
-    """As `_reading_panels`, for the polar panels of planar LiDARs with their past scans."""
-    panels: list[tuple[DrawPanel, list[str]]] = []
-    for name, settings in _in_order(conf):
-        kind = settings.sensor
-        names = [reading for reading in (f"{name}_past", name) if reading in readings]
-        if kind == "lidar" and names:
-            label = _LABELS[kind] if name == kind else name
-            past, now = readings.get(f"{name}_past"), readings.get(name)
-            draw = partial(
+                drawn = partial(draw, reading=readings[reading], conf=settings, label=label)
+                panels.append((drawn, [reading], None))
+        past, now = readings.get(f"{name}_past"), readings.get(name)
+        if kind == "lidar" and (past is not None or now is not None):
+            drawn = partial(
                 _draw_scans, past=past, now=now, goal=readings.get("goal"), conf=settings, label=label
             )
-            panels.append((draw, names))
-    return panels
+            scans.append((drawn, [f"{name}_past", name], "polar"))
+    return panels + scans
 
 
 def _style(axes: Axes, title: str) -> None:
@@ -114,21 +96,24 @@ def _bar(axes: Axes, image: Any, label: str) -> None:
     bar.outline.set_edgecolor(_FAINT)
 
 
-def _draw_rgb(axes: Axes, reading: NDArray[Any], conf: Any, label: str) -> None:
-    axes.imshow(reading, interpolation="nearest")
-    _style(axes, f"{label}, RGB, {conf.width} by {conf.height}")
+def _draw_image(
+    axes: Axes, reading: NDArray[Any], conf: Any, label: str, *, title: str, bar: str = "",
+    shown: Callable[[NDArray[Any], Any], NDArray[Any]] = lambda reading, conf: reading, **options: Any,
+) -> None:  # fmt: skip
+    image = axes.imshow(shown(reading, conf), interpolation="nearest", **options)
+    _style(axes, f"{label}, {title.format(conf=conf, reading=reading)}")
+    if bar:
+        _bar(axes, image, bar)
 
 
-def _draw_grey(axes: Axes, reading: NDArray[Any], conf: Any, label: str) -> None:
-    axes.imshow(reading[..., 0], cmap="gray", vmin=0, vmax=255, interpolation="nearest")
-    _style(axes, f"{label}, grey")
+def _ranges(reading: NDArray[Any], conf: Any) -> NDArray[Any]:
+    """Ranges [m] of a picture, NaN where nothing is in range."""
+    return np.where(reading[..., 0] >= conf.range_m * 0.999, np.nan, reading[..., 0])
 
 
 def _draw_depth(axes: Axes, reading: NDArray[Any], conf: Any, label: str) -> None:
-    metres = np.where(reading[..., 0] >= conf.range_m * 0.999, np.nan, reading[..., 0])
-    image = axes.imshow(metres, cmap="magma_r", norm=LogNorm(0.1, conf.range_m), interpolation="nearest")
-    _style(axes, f"{label}, depth")
-    _bar(axes, image, "m")
+    norm = LogNorm(0.1, conf.range_m)
+    _draw_image(axes, reading, conf, label, title="depth", bar="m", shown=_ranges, cmap="magma_r", norm=norm)
 
 
 def _draw_segmentation(axes: Axes, reading: NDArray[Any], conf: Any, label: str) -> None:
@@ -148,37 +133,17 @@ def _segments(axes: Axes, segments: NDArray[Any], title: str, aspect: Any) -> No
     )
 
 
-def _draw_normals(axes: Axes, reading: NDArray[Any], conf: Any, label: str) -> None:
-    axes.imshow(np.clip((reading + 1.0) / 2.0, 0.0, 1.0), interpolation="nearest")
-    _style(axes, f"{label}, normals")
-
-
-def _draw_rings(axes: Axes, reading: NDArray[Any], conf: Any, label: str) -> None:
-    metres = np.where(reading[..., 0] >= conf.range_m * 0.999, np.nan, reading[..., 0])
-    image = axes.imshow(metres[:, ::-1], cmap="turbo_r", aspect="auto", interpolation="nearest")
-    _style(axes, f"{label}, {reading.shape[0]} rings, seen from inside")
-    _bar(axes, image, "m")
-
-
-def _draw_intensity(axes: Axes, reading: NDArray[Any], conf: Any, label: str) -> None:
-    image = axes.imshow(reading[:, ::-1, 0], cmap="viridis", aspect="auto", interpolation="nearest")
-    _style(axes, f"{label}, intensity")
-    _bar(axes, image, "share returned")
-
-
 def _draw_ring_segments(axes: Axes, reading: NDArray[Any], conf: Any, label: str) -> None:
     _segments(axes, reading[:, ::-1, 0], f"{label}, segments", "auto")
 
 
 def _draw_height_scan(axes: Axes, reading: NDArray[Any], conf: Any, label: str) -> None:
-    grid = reading.reshape(conf.rows, conf.columns)
-    limit = max(0.1, float(np.abs(grid).max()))
     # Ahead is up, left is left.
-    image = axes.imshow(
-        grid[::-1, ::-1], cmap="BrBG_r", vmin=-limit, vmax=limit, interpolation="nearest", aspect="equal"
-    )
-    _style(axes, f"{label}, {conf.rows} by {conf.columns}, ahead is up")
-    _bar(axes, image, "m above the ground below")
+    _draw_image(
+        axes, reading.reshape(conf.rows, conf.columns)[::-1, ::-1], conf, label,
+        title="{conf.rows} by {conf.columns}, ahead is up", bar="m above the ground below", cmap="BrBG_r",
+        norm=CenteredNorm(halfrange=max(0.1, float(np.abs(reading).max()))), aspect="equal",
+    )  # fmt: skip
 
 
 def _draw_depth_strip(axes: Axes, reading: NDArray[Any], conf: Any, label: str) -> None:
@@ -195,13 +160,9 @@ def _draw_depth_strip(axes: Axes, reading: NDArray[Any], conf: Any, label: str) 
 
 
 def _draw_scans(
-    axes: Any,
-    past: NDArray[Any] | None,
-    now: NDArray[Any] | None,
-    goal: NDArray[Any] | None,
-    conf: Any,
+    axes: Any, past: NDArray[Any] | None, now: NDArray[Any] | None, goal: NDArray[Any] | None, conf: Any,
     label: str,
-) -> None:
+) -> None:  # fmt: skip
     axes.set_theta_zero_location("N")
     axes.set_facecolor(_PAPER)
     axes.set_title(f"{label}, ahead is up", color=_INK, fontsize=11, loc="left")
@@ -246,14 +207,24 @@ _LABELS = {
 }
 # By kind of sensor and output; sensors with a single output have an empty one.
 _PANELS: dict[tuple[str, str], Callable[..., None]] = {
-    ("camera", "rgb"): _draw_rgb,
+    ("camera", "rgb"): partial(_draw_image, title="RGB, {conf.width} by {conf.height}"),
     ("camera", "depth"): _draw_depth,
     ("camera", "segmentation"): _draw_segmentation,
-    ("camera", "normals"): _draw_normals,
-    ("camera", "grey"): _draw_grey,
-    ("lidar_3d", "range"): _draw_rings,
-    ("lidar_3d", "intensity"): _draw_intensity,
+    ("camera", "normals"): partial(
+        _draw_image, title="normals", shown=lambda reading, conf: np.clip((reading + 1.0) / 2.0, 0.0, 1.0)
+    ),
+    ("camera", "grey"): partial(
+        _draw_image, title="grey", shown=lambda reading, conf: reading[..., 0], cmap="gray", vmin=0, vmax=255
+    ),
+    ("lidar_3d", "range"): partial(
+        _draw_image, title="{reading.shape[0]} rings, seen from inside", bar="m", cmap="turbo_r",
+        shown=lambda reading, conf: _ranges(reading, conf)[:, ::-1], aspect="auto",
+    ),
+    ("lidar_3d", "intensity"): partial(
+        _draw_image, title="intensity", bar="share returned", cmap="viridis",
+        shown=lambda reading, conf: reading[:, ::-1, 0], aspect="auto",
+    ),
     ("lidar_3d", "segmentation"): _draw_ring_segments,
     ("height_scan", ""): _draw_height_scan,
     ("depth_strip", ""): _draw_depth_strip,
-}
+}  # fmt: skip

@@ -29,13 +29,13 @@ from dune_rl.commands import episode_sets, robots
 from dune_rl.commands.command_line import config_folders, parse_arguments
 from dune_rl.commands.engines import parse_settings as engines_settings
 from dune_rl.commands.pages import PAGES as PROGRAMS
+from dune_rl.commands.report import parse_words
 from dune_rl.config.commands import EvaluateConf, ViewConf
 from dune_rl.config.compose import check_sweep, compose, override_value
 from dune_rl.config.schema import Conf
 from dune_rl.core import paths
 from dune_rl.core.errors import ConfigError, DuneError
 from dune_rl.evaluation.episode_sets.files import read_episode_set
-from dune_rl.reporting.settings import parse_words
 from dune_rl.trajectories.settings import choose_world
 from dune_rl.trajectories.settings import parse_words as trajectory_words
 

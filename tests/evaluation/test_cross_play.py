@@ -37,7 +37,7 @@ from dune_rl.learning.checkpoint import write_checkpoint_file
 from dune_rl.learning.learners import build_learner
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.run.folder import RunFolder
-from dune_rl.reporting.comparisons.collect import collect_comparisons
+from dune_rl.reporting.collect import collect_comparisons
 from dune_rl.reporting.reading import read_inputs
 
 TINY = ["+world=flat", "+experiment=multi_agent", "learning.hidden=[8]", "learning.precision=float32"]

@@ -9,10 +9,10 @@ from typing import Any
 import yaml
 
 from dune_rl.core.seeding import stream
-from dune_rl.reporting.comparisons.collect import collect_comparisons
-from dune_rl.reporting.comparisons.comparison import EvaluatedPolicy
-from dune_rl.reporting.origins import installed_version
-from dune_rl.reporting.runs import EvaluationRun
+from dune_rl.reporting.collect import collect_comparisons
+from dune_rl.reporting.comparison import EvaluatedPolicy
+from dune_rl.reporting.inputs import EvaluationRun
+from dune_rl.reporting.reading import installed_version
 
 METRICS = ("success", "reached", "collisions", "time_to_goal", "clearance", "vort", "smoothness")
 CONFIG: dict[str, Any] = {

@@ -8,9 +8,9 @@ from hypothesis.extra.numpy import arrays
 from term_states import agents, state_of
 
 from dune_rl.core.errors import ConfigError
-from dune_rl.metrics.terms import energy
+from dune_rl.metrics.terms import driving as energy
 from dune_rl.metrics.terms import paper as terms
-from dune_rl.metrics.terms.energy import BatteryRange, BatteryShare
+from dune_rl.metrics.terms.driving import BatteryRange, BatteryShare
 from dune_rl.metrics.terms.paper import Success
 from dune_rl.robots.settings import BatteryConf
 from dune_rl.state import GroupState

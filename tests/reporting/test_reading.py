@@ -10,11 +10,11 @@ import pytest
 from report_runs import CONFIG, episode_rows, write_evaluation, write_rows, write_sweep, write_training
 
 from dune_rl.evaluation.episode_sets.files import read_episode_set
-from dune_rl.reporting.comparisons.collect import collect_comparisons
+from dune_rl.reporting.collect import collect_comparisons
+from dune_rl.reporting.inputs import group_runs
 from dune_rl.reporting.reading import read_inputs
+from dune_rl.reporting.tables.runs import sweep_table
 from dune_rl.reporting.tables.table import NOTHING
-from dune_rl.reporting.tables.training import sweep_table
-from dune_rl.reporting.training_groups import group_runs
 
 
 def reasons(*paths: Path) -> list[str]:

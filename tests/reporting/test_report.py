@@ -12,8 +12,8 @@ from report_runs import episode_rows, write_evaluation, write_sweep, write_train
 
 from dune_rl import report
 from dune_rl.commands.pages import PAGES, show_help
-from dune_rl.metrics.number_text import MINUS, NOTHING
-from dune_rl.reporting.comparisons.collect import collect_comparisons
+from dune_rl.metrics.catalogue import MINUS, NOTHING
+from dune_rl.reporting.collect import collect_comparisons
 from dune_rl.reporting.figures.style import draw_legend, method_styles, new_figure
 from dune_rl.reporting.reading import read_inputs
 from dune_rl.reporting.tables.methods import paired_table

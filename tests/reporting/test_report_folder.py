@@ -12,8 +12,9 @@ from dune_rl import report
 from dune_rl.commands import command_line
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.paths import unused_folder
+from dune_rl.reporting import folder as report_folder
 from dune_rl.reporting import output
-from dune_rl.reporting.output import write_aside
+from dune_rl.reporting.folder import write_aside
 
 
 def write_files(folder: Path, text: str) -> None:
@@ -67,14 +68,14 @@ def test_the_old_report_comes_back_if_the_new_one_cannot_be_put_in_place(
     with write_aside(tmp_path / "r", overwrite=False) as aside:
         write_files(aside, "a")
     before = files(tmp_path)
-    move = output.shutil.move
+    move = report_folder.shutil.move
 
     def fail(source: Path, target: Path) -> None:
         if source.name == "index.html" and source.parent.name == "new":
             raise OSError("full")
         move(source, target)
 
-    monkeypatch.setattr(output.shutil, "move", fail)
+    monkeypatch.setattr(report_folder.shutil, "move", fail)
     with pytest.raises(OSError, match="full"), write_aside(tmp_path / "r", overwrite=True) as aside:
         write_files(aside, "b")
     assert files(tmp_path) == before and (tmp_path / "r" / "index.html").read_text() == "a"

@@ -7,9 +7,9 @@ import pytest
 from report_runs import CONFIG, episode_rows, write_evaluation
 
 from dune_rl.evaluation.folder import changed_files
-from dune_rl.reporting.comparisons.collect import collect_comparisons
-from dune_rl.reporting.comparisons.comparison import EvaluatedPolicy, estimate_rows
-from dune_rl.reporting.figures.failure_replay import WantedFailure, replay_failures
+from dune_rl.reporting.collect import collect_comparisons
+from dune_rl.reporting.comparison import EvaluatedPolicy, estimate_rows
+from dune_rl.reporting.figures.failure_replay import Failure, replay_failures
 from dune_rl.reporting.reading import read_inputs
 
 PAPER = {**CONFIG, "protocol": "paper", "run_steps": 300}
@@ -70,8 +70,9 @@ def test_episodes_of_runs_are_not_run_again(tmp_path: Path) -> None:
     folder = write_evaluation(tmp_path / "a", run_rows(), config=config)
     (run,) = read_inputs([folder]).evaluations
     method = EvaluatedPolicy("x", "x", run.episodes, [run], "a")
-    (found,) = replay_failures(method, [WantedFailure("collision", run.episodes[-1])], (32, 24)).values()
-    assert isinstance(found, str) and "runs" in found
+    failure = Failure(method, "collision", run.episodes[-1])
+    replay_failures([failure], (32, 24))
+    assert failure.replay is None and "runs" in failure.reason
 
 
 @pytest.mark.parametrize("files", [["episodes.csv"], "episodes.csv", 3])

@@ -8,7 +8,6 @@ import pytest
 
 from dune_rl.statistics.intervals import (
     Estimate,
-    estimate_difference,
     estimate_mean,
     estimate_proportion,
     estimate_ratio,
@@ -61,7 +60,7 @@ def of_rare_collisions(random: np.random.Generator) -> Estimate:
 
 
 def of_differences_of_rare_collisions(random: np.random.Generator) -> Estimate:
-    return estimate_difference(rare_collisions(random) - rare_collisions(random), are_counts=True)
+    return estimate_mean(rare_collisions(random) - rare_collisions(random), are_counts=True, signed=True)
 
 
 def of_differences_of_seconds_per_goal(random: np.random.Generator) -> Estimate:
@@ -124,7 +123,11 @@ def test_equal_ratios_have_equal_ends() -> None:
 @pytest.mark.parametrize("count", [2, 3])
 def test_a_few_values_have_no_bootstrap_interval(count: int) -> None:
     values = [1.0, 2.0, 3.0][:count]
-    for found in (estimate_mean(values), estimate_difference(values), estimate_ratio(values, [1.0] * count)):
+    for found in (
+        estimate_mean(values),
+        estimate_mean(values, signed=True),
+        estimate_ratio(values, [1.0] * count),
+    ):
         assert (
             found.value == pytest.approx(np.mean(values)) and math.isnan(found.low) and math.isnan(found.high)
         )
@@ -162,7 +165,7 @@ def test_without_an_event_the_interval_reaches_to_four_events_in_all() -> None:
     estimate = estimate_mean([0.0] * 200, are_counts=True)
     assert (estimate.value, estimate.low) == (0.0, 0.0)
     assert estimate.high == pytest.approx(3.6889 / 200, rel=1e-4)
-    difference = estimate_difference([0.0] * 200, are_counts=True)
+    difference = estimate_mean([0.0] * 200, are_counts=True, signed=True)
     assert (difference.low, difference.high) == pytest.approx((-3.6889 / 200, 3.6889 / 200), rel=1e-4)
 
 
@@ -178,7 +181,7 @@ def test_rare_single_events_have_the_poisson_interval() -> None:
 
 
 def test_a_difference_of_few_may_be_of_either_sign() -> None:
-    estimate = estimate_difference([1.0] * 3 + [0.0] * 97)
+    estimate = estimate_mean([1.0] * 3 + [0.0] * 97, signed=True)
     assert estimate.value == pytest.approx(0.03) and estimate.low < 0.0 < estimate.high - 0.03
 
 

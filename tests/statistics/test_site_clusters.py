@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dune_rl.evaluation.tables import comparison_table, paired_line
-from dune_rl.reporting.comparisons.comparison import Cases, Comparison, EvaluatedPolicy
+from dune_rl.reporting.comparison import Cases, Comparison, EvaluatedPolicy
 from dune_rl.statistics.intervals import estimate_proportion, estimate_share_difference
 from dune_rl.statistics.measures import cluster_rows, estimate_metrics
 from dune_rl.statistics.paired_comparison import compare_policies, compare_success, mcnemar_test
@@ -151,7 +151,7 @@ def test_reports_keep_the_sites_of_rows() -> None:
         rows_of(hits, world_seed=500.0 + OF_SITE, set="inspection-v1", world="inspection") for hits in (a, b)
     )
     rows = {name: [row | {"agent": "rover_0"} for row in of] for name, of in (("a", of_a), ("b", of_b))}
-    cases = Cases("key", "inspection-v1", "inspection", "inspection-v1", "", "bullet", 1, "rover")
+    cases = Cases("key", "inspection-v1", "inspection", "inspection-v1", "", "bullet", 1)
     comparison = Comparison(cases, [EvaluatedPolicy(name, name, found) for name, found in rows.items()])
     assert comparison.sites == SITES
     assert comparison.estimates["a"]["SR"] == estimate_proportion(a, OF_SITE)

@@ -10,7 +10,7 @@ from dune_rl.sensors.conf import parse_sensors
 from dune_rl.sensors.lidar import LidarConf
 from dune_rl.sensors.settings import SensorSettings
 from dune_rl.visualization.contact_sheet import contact_sheet
-from dune_rl.visualization.overlay import draw_overlays
+from dune_rl.visualization.video import draw_overlays
 
 PICTURE = np.zeros((6, 8, 3), np.uint8)
 # The first words of each panel's title.

@@ -1,4 +1,4 @@
-"""Metric terms of how an agent drives: its path, attitude, slip and jerk."""
+"""Metric terms of how an agent drives: its path, attitude, slip, jerk and energy."""
 
 import math
 from typing import Annotated
@@ -8,6 +8,7 @@ from pydantic import Field
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.geometry.arrays import Array, Flags
+from dune_rl.metrics.terms.paper import vector_norms
 from dune_rl.state.state import GroupState, State
 
 
@@ -103,8 +104,7 @@ class Jerk:
         acceleration = group.motion.acceleration_b
         change = acceleration - self._last_b
         self._last_b[:] = acceleration
-        size: Array = np.sqrt(np.einsum("ij,ij->i", change, change)) / group.episode.step_s
-        return size
+        return vector_norms(change) / group.episode.step_s
 
 
 def slip(state: State, group: GroupState, *, least_mps: Annotated[float, Field(gt=0.0)] = 0.1) -> Array:
@@ -124,3 +124,56 @@ def slip(state: State, group: GroupState, *, least_mps: Annotated[float, Field(g
 
 
 slip.needs_joints = True  # type: ignore[attr-defined]
+
+
+def energy_wh(state: State, group: GroupState) -> Array:
+    """Energy drawn from the battery in this step [W h]."""
+    if group.energy is None:
+        raise ConfigError(
+            f"the energy of {group.name} is not measured: set metrics.energy=true, for a robot with a battery"
+        )
+    # The work of diverged physics may be anything.
+    work_j = np.where(group.motion.diverged, 0.0, group.energy.work_j)
+    return group.energy.battery.drawn_wh(work_j, group.episode.step_s)
+
+
+class BatteryShare:
+    """Share of the battery's capacity that the episode has used."""
+
+    def __init__(self, num_rows: int) -> None:
+        self._drawn_wh = np.zeros(num_rows)
+
+    def reset(self, mask: Flags, group: GroupState) -> None:
+        """Nothing has been drawn in the episodes of the agents in `mask` (N,)."""
+        self._drawn_wh[mask] = 0.0
+
+    def __call__(self, state: State, group: GroupState) -> Array:
+        """Shares (N,); to be called once a control step."""
+        self._drawn_wh += energy_wh(state, group)
+        assert group.energy is not None
+        return self._drawn_wh / group.energy.battery.capacity_wh
+
+
+class BatteryRange:
+    """Distance [km] that a full battery lasts for, at the use and over the way of the episode.
+
+    The way is counted level; NaN before anything is drawn.
+    """
+
+    def __init__(self, num_rows: int) -> None:
+        self._share = BatteryShare(num_rows)
+        self._way_m = np.zeros(num_rows)
+
+    def reset(self, mask: Flags, group: GroupState) -> None:
+        """Nothing has been drawn, and no way made, in the episodes of the agents in `mask` (N,)."""
+        self._share.reset(mask, group)
+        self._way_m[mask] = 0.0
+
+    def __call__(self, state: State, group: GroupState) -> Array:
+        """Ranges (N,); to be called once a control step."""
+        share = self._share(state, group)
+        velocity = group.motion.velocity_w
+        self._way_m += np.hypot(velocity[:, 0], velocity[:, 1]) * group.episode.step_s
+        ranges = np.full(len(share), np.nan)
+        np.divide(self._way_m / 1000.0, share, out=ranges, where=share > 0.0)
+        return ranges

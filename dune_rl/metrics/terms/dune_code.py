@@ -13,6 +13,7 @@ from pydantic import Field
 
 from dune_rl.core.constants import GRAVITY_MPS2
 from dune_rl.geometry.arrays import Array, Flags
+from dune_rl.metrics.terms.paper import vector_norms
 from dune_rl.state.state import GroupState, State
 
 Seconds = Annotated[float, Field(ge=0.0)]
@@ -36,59 +37,41 @@ def dune_code_vertical(state: State, group: GroupState) -> Array:
     return np.abs(_specific_force(group)[:, 2])
 
 
-class _LastReadings:
-    """The mean of the last `window` readings of N agents; readings of NaN are left out."""
-
-    def __init__(self, num_rows: int, window: int) -> None:
-        self._kept = np.full((num_rows, window), np.nan)
-        self._count = np.zeros(num_rows, np.int64)
-
-    def clear(self, mask: Flags) -> None:
-        self._kept[mask] = np.nan
-        self._count[mask] = 0
-
-    def add(self, values: Array) -> None:
-        rows = np.flatnonzero(~np.isnan(values))
-        self._kept[rows, self._count[rows] % self._kept.shape[1]] = values[rows]
-        self._count[rows] += 1
-
-    def mean(self) -> Array:
-        """Means (N,); NaN where there was no reading."""
-        number = np.minimum(self._count, self._kept.shape[1])
-        total = np.nansum(self._kept, axis=1)
-        means = np.full(len(total), np.nan)
-        np.divide(total, number, out=means, where=number > 0)
-        return means
-
-
-class _Rows:
-    """What is written once every `every_s`: in the first step of an episode that completes this time."""
-
-    def __init__(self, every_s: float) -> None:
-        self._every_s = every_s
-
-    def written(self, group: GroupState) -> Flags:
-        steps = max(round(self._every_s / group.episode.step_s), 1)
-        due: Flags = group.episode.steps % steps == 0
-        return due
+def _writes_row(group: GroupState, every_s: float) -> Flags:
+    """Whether a row is written (N,): in each step that completes another `every_s` [s]."""
+    due: Flags = group.episode.steps % max(round(every_s / group.episode.step_s), 1) == 0
+    return due
 
 
 class _RowMean:
-    """In a step with a row the mean of the last `readings` values of `_measure`, else NaN."""
+    """In a step with a row the mean of the last `readings` values of `_measure`, else NaN.
+
+    Readings of NaN are left out.
+    """
 
     def __init__(
         self, num_rows: int, *, readings: Readings = 100, every_s: Annotated[float, Field(gt=0.0)] = 1.0
     ) -> None:
-        self._last, self._rows = _LastReadings(num_rows, readings), _Rows(every_s)
+        self._every_s = every_s
+        self._kept = np.full((num_rows, readings), np.nan)
+        self._count = np.zeros(num_rows, np.int64)
 
     def reset(self, mask: Flags, group: GroupState) -> None:
         """There are no readings in the episodes of the agents in `mask` (N,)."""
-        self._last.clear(mask)
+        self._kept[mask] = np.nan
+        self._count[mask] = 0
 
     def __call__(self, state: State, group: GroupState) -> Array:
         """Means (N,); to be called once a control step."""
-        self._last.add(self._measure(group))
-        return np.where(self._rows.written(group), self._last.mean(), np.nan)
+        values, window = self._measure(group), self._kept.shape[1]
+        rows = np.flatnonzero(~np.isnan(values))
+        self._kept[rows, self._count[rows] % window] = values[rows]
+        self._count[rows] += 1
+        number = np.minimum(self._count, window)
+        means = np.full(len(number), np.nan)
+        written = _writes_row(group, self._every_s)
+        np.divide(np.nansum(self._kept, axis=1), number, out=means, where=written & (number > 0))
+        return means
 
     def _measure(self, group: GroupState) -> Array:
         raise NotImplementedError
@@ -107,7 +90,7 @@ class DuneCodeSmoothness(_RowMean):
     """Mean of the last 100 sums |acceleration| + |angular velocity| once a second, with gravity."""
 
     def _measure(self, group: GroupState) -> Array:
-        return _norm(_specific_force(group)) + _norm(group.motion.angular_b)
+        return vector_norms(_specific_force(group)) + vector_norms(group.motion.angular_b)
 
 
 class DuneCodeSpeed(_RowMean):
@@ -132,10 +115,10 @@ class DuneCodeSpeed(_RowMean):
         means = super().__call__(state, group)
         if self._rough_mps2 is None:
             return means
-        return np.where(_norm(_specific_force(group)) > self._rough_mps2, means, np.nan)
+        return np.where(vector_norms(_specific_force(group)) > self._rough_mps2, means, np.nan)
 
     def _measure(self, group: GroupState) -> Array:
-        return _norm(group.motion.velocity_w)
+        return vector_norms(group.motion.velocity_w)
 
 
 class DuneCodeRows:
@@ -155,7 +138,7 @@ class DuneCodeRows:
         every_s: Annotated[float, Field(gt=0.0)] = 1.0,
         rough_mps2: Annotated[float, Field(gt=0.0)] | None = None,
     ) -> None:
-        self._rows, self._of, self._rough_mps2 = _Rows(every_s), of, rough_mps2
+        self._every_s, self._of, self._rough_mps2 = every_s, of, rough_mps2
         self._returned = np.zeros(num_rows, bool)
 
     def reset(self, mask: Flags, group: GroupState) -> None:
@@ -164,16 +147,38 @@ class DuneCodeRows:
 
     def __call__(self, state: State, group: GroupState) -> Flags:
         """Flags (N,); to be called once a control step."""
-        counts = self._rows.written(group)
+        counts = _writes_row(group, self._every_s)
         if self._of == "clearance":
             self._returned |= ~np.isnan(group.nearest_return)
             counts = counts & self._returned
         if self._rough_mps2 is not None:
-            counts = counts & (_norm(_specific_force(group)) > self._rough_mps2)
+            counts = counts & (vector_norms(_specific_force(group)) > self._rough_mps2)
         return counts
 
 
-class DuneCodeAttempts:
+class DuneCodeGoalTime:
+    """Time since the attempt began [s] in a step that reaches its goal, else 0."""
+
+    def __init__(self, num_rows: int, *, termination: str = "goal_reached") -> None:
+        self._termination = termination
+        self._began = np.zeros(num_rows, np.int64)
+
+    def reset(self, mask: Flags, group: GroupState) -> None:
+        """The first attempts of the agents in `mask` (N,) begin."""
+        self._began[mask] = 0
+
+    def __call__(self, state: State, group: GroupState) -> Array:
+        """Times (N,); to be called once a control step."""
+        return np.where(group.ended_by(self._termination), self._lasted(group), 0.0)
+
+    def _lasted(self, group: GroupState) -> Array:
+        """For how long the attempts (N,) have lasted [s]; the next ones begin where a goal is reached."""
+        lasted: Array = np.multiply(group.episode.steps - self._began, group.episode.step_s, dtype=np.float64)
+        self._began = np.where(group.ended_by(self._termination), group.episode.steps, self._began)
+        return lasted
+
+
+class DuneCodeAttempts(DuneCodeGoalTime):
     """1 in a step that ends an attempt which the code counts, else 0.
 
     An attempt ends by the termination `termination`, which reaches the goal, or by any other. It counts if it
@@ -189,67 +194,20 @@ class DuneCodeAttempts:
         reached_s: Seconds = 5.0,
         failed_s: Seconds = 25.0,
     ) -> None:
-        self._termination, self._all = termination, outcome == "all"
-        self._reached_s, self._failed_s = reached_s, failed_s
-        self._clock = _AttemptClock(num_rows)
+        super().__init__(num_rows, termination=termination)
+        self._all, self._reached_s, self._failed_s = outcome == "all", reached_s, failed_s
 
-    def reset(self, mask: Flags, group: GroupState) -> None:
-        """The first attempts of the agents in `mask` (N,) begin."""
-        self._clock.reset(mask)
-
-    def __call__(self, state: State, group: GroupState) -> Flags:
+    def __call__(self, state: State, group: GroupState) -> Flags:  # type: ignore[override]
         """Flags (N,); to be called once a control step."""
-        reached = group.ended_by(self._termination)
-        lasted = self._clock.lasted(group, reached)
+        reached, lasted = group.ended_by(self._termination), self._lasted(group)
         counts: Flags = reached & (lasted > self._reached_s)
         if self._all:
-            failed = np.zeros_like(reached)
-            for name, ended in group.endings.items():
-                if name != self._termination:
-                    failed = failed | ended
+            others = [ended for name, ended in group.endings.items() if name != self._termination]
+            failed = np.any([np.zeros_like(reached), *others], axis=0)
             counts = counts | (failed & ~reached & (lasted > self._failed_s))
         return counts
-
-
-class DuneCodeGoalTime:
-    """Time since the attempt began [s] in a step that reaches its goal, else 0."""
-
-    def __init__(self, num_rows: int, *, termination: str = "goal_reached") -> None:
-        self._termination = termination
-        self._clock = _AttemptClock(num_rows)
-
-    def reset(self, mask: Flags, group: GroupState) -> None:
-        """The first attempts of the agents in `mask` (N,) begin."""
-        self._clock.reset(mask)
-
-    def __call__(self, state: State, group: GroupState) -> Array:
-        """Times (N,); to be called once a control step."""
-        reached = group.ended_by(self._termination)
-        return np.where(reached, self._clock.lasted(group, reached), 0.0)
-
-
-class _AttemptClock:
-    """For how long the present attempts of N agents have lasted."""
-
-    def __init__(self, num_rows: int) -> None:
-        self._began = np.zeros(num_rows, np.int64)
-
-    def reset(self, mask: Flags) -> None:
-        self._began[mask] = 0
-
-    def lasted(self, group: GroupState, reached: Flags) -> Array:
-        """Times (N,) [s]; the next attempts of the agents that have `reached` their goals begin after it."""
-        lasted: Array = np.multiply(group.episode.steps - self._began, group.episode.step_s, dtype=np.float64)
-        self._began = np.where(reached, group.episode.steps, self._began)
-        return lasted
 
 
 def _specific_force(group: GroupState) -> Array:
     """What an accelerometer feels [m/s²], body frame (N, 3): (0, 0, +9.81) at rest on level ground."""
     return group.motion.acceleration_b + GRAVITY_MPS2 * group.motion.rotation[:, 2]
-
-
-def _norm(vectors: Array) -> Array:
-    """Lengths (N,) of vectors (N, 3)."""
-    lengths: Array = np.sqrt(np.einsum("ij,ij->i", vectors, vectors))
-    return lengths

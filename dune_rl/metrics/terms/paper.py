@@ -80,10 +80,10 @@ def time_on_uneven(
 
 def smoothness(state: State, group: GroupState) -> Array:
     """Size of the acceleration [m/s²] plus that of the angular velocity [rad/s]; its mean is TSR."""
-    return _norm(group.motion.acceleration_b) + _norm(group.motion.angular_b)
+    return vector_norms(group.motion.acceleration_b) + vector_norms(group.motion.angular_b)
 
 
-def _norm(vectors: Array) -> Array:
+def vector_norms(vectors: Array) -> Array:
     """Lengths (N,) of vectors (N, 3)."""
     lengths: Array = np.sqrt(np.einsum("ij,ij->i", vectors, vectors))
     return lengths

@@ -5,8 +5,9 @@ between two discs, negative where they overlap. `groups` names the groups that c
 agents do.
 """
 
+import math
 from collections.abc import Iterator
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
@@ -14,7 +15,7 @@ from pydantic import Field
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.suggestions import one_of
 from dune_rl.geometry.arrays import Array, Counts, Flags
-from dune_rl.metrics.encounter_loops import find_gaps, find_times_to_contact
+from dune_rl.geometry.compiled import compile_function
 from dune_rl.state.state import GroupState, State
 
 Metres = Annotated[float, Field(gt=0.0)]
@@ -154,7 +155,7 @@ def _gaps(state: State, group: GroupState, names: tuple[str, ...]) -> Array:
     position = group.motion.position_w[:, :2]
     for other in _others(state, group, names):
         places, reach = other.motion.position_w[:, :2], group.body.radius_m + other.body.radius_m
-        find_gaps(position, reach, places, group.count, other.count, other is group, found)
+        _find_gaps(position, reach, places, group.count, other.count, other is group, found)
     return found
 
 
@@ -164,17 +165,11 @@ def _times_to_contact(state: State, group: GroupState, names: tuple[str, ...]) -
     mine = group.motion
     for other in _others(state, group, names):
         theirs = other.motion
-        find_times_to_contact(
-            mine.position_w[:, :2],
-            mine.velocity_w[:, :2],
-            group.body.radius_m + other.body.radius_m,
-            theirs.position_w[:, :2],
-            theirs.velocity_w[:, :2],
-            group.count,
-            other.count,
-            other is group,
-            found,
-        )
+        _find_times_to_contact(
+            mine.position_w[:, :2], mine.velocity_w[:, :2], group.body.radius_m + other.body.radius_m,
+            theirs.position_w[:, :2], theirs.velocity_w[:, :2], group.count, other.count,
+            other is group, found,
+        )  # fmt: skip
     return found
 
 
@@ -186,3 +181,52 @@ def _others(state: State, group: GroupState, names: tuple[str, ...]) -> Iterator
         if not names or name in names:
             # The step's state is another object than the one in which goals were renewed.
             yield group if name == group.name else other
+
+
+@compile_function
+def _find_gaps(
+    position: Any, reach: float, others: Any, per_scene: int, number: int, same: bool, found: Any
+) -> None:
+    """The smallest distance [m] of each agent from the others in its scene, where it is below `found` (N,).
+
+    `position` (N, 2) [m] are those of `per_scene` agents in each scene, `others` (M * H, 2) those of `number`
+    (H) agents; `reach` [m] is the sum of both radii. `same` says that they are one group, whose agents are
+    not compared with themselves.
+    """
+    for row in range(len(position)):
+        scene, agent = row // per_scene, row % per_scene
+        for other in range(number):
+            if same and other == agent:
+                continue
+            place = others[scene * number + other]
+            gap = math.hypot(place[0] - position[row, 0], place[1] - position[row, 1]) - reach
+            found[row] = min(found[row], gap)
+
+
+@compile_function
+def _find_times_to_contact(
+    position: Any, velocity: Any, reach: float, others: Any, velocities: Any, per_scene: int, number: int,
+    same: bool, found: Any,
+) -> None:  # fmt: skip
+    """The shortest time [s] in which discs at constant velocities meet, where it is below `found` (N,).
+
+    Arguments are as for `_find_gaps`; `velocity` and `velocities` [m/s] are those of the agents and of the
+    others. The time is 0 for discs that overlap.
+    """
+    for row in range(len(position)):
+        scene, agent = row // per_scene, row % per_scene
+        for other in range(number):
+            if same and other == agent:
+                continue
+            index = scene * number + other
+            x, y = others[index, 0] - position[row, 0], others[index, 1] - position[row, 1]
+            u, v = velocities[index, 0] - velocity[row, 0], velocities[index, 1] - velocity[row, 1]
+            apart = x * x + y * y - reach * reach
+            if apart <= 0.0:
+                found[row] = 0.0
+                continue
+            # |p + v t|^2 = reach^2, whose smaller root is the first contact.
+            closing, square = -(x * u + y * v), u * u + v * v
+            discriminant = closing * closing - square * apart
+            if closing > 0.0 and discriminant >= 0.0:
+                found[row] = min(found[row], apart / (closing + math.sqrt(discriminant)))

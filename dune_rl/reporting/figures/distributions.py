@@ -10,37 +10,20 @@ from scipy import stats
 
 from dune_rl.core.seeding import stream
 from dune_rl.geometry.arrays import Array
+from dune_rl.reporting.figures import style
 from dune_rl.reporting.figures.results import (
     Results,
     axis_label,
-    column,
-    count_text,
     method_names,
+    name_panels,
 )
-from dune_rl.reporting.figures.style import (
-    COLUMN_IN,
-    FAINT,
-    INK,
-    PAGE_IN,
-    RC,
-    SMALL,
-    MethodStyle,
-    method_styles,
-    new_figure,
-    note_figure,
-    panel_grid,
-    panels,
-    short_names,
-    tidy,
-)
-from dune_rl.reporting.runs import Row
+from dune_rl.reporting.rows import Row, column
 
 # Metrics that are drawn unless others are asked for, where episodes have them.
 DEFAULT_METRICS = (
     *("time_to_goal", "clearance", "vertical_roughness", "vort", "smoothness", "collisions"),
     *("spl", "min_actor_gap", "mean_speed", "energy_wh"),
 )
-_MOST_ACROSS = 3
 _ROW_IN = 0.27
 # Above the shapes (1), below the bars (2).
 _POINTS_ZORDER = 1.5
@@ -67,52 +50,46 @@ def draw_distributions(results: Results, metric: str) -> Figure:
     names = method_names(results)
     rows = [row for methods in results.values() for rows in methods.values() for row in rows]
     if not names or not np.isfinite(column(rows, metric)).any():
-        return note_figure(f"no episode has a value of {metric}")
-    styles = method_styles(names)
-    with rc_context(RC):
-        down, across = panel_grid(len(results), _MOST_ACROSS)
-        width = COLUMN_IN if across == 1 else PAGE_IN
-        figure = new_figure(width, 0.45 + down * (0.35 + _ROW_IN * len(names)))
-        grid = panels(figure, len(results), _MOST_ACROSS, sharex=True, sharey=True)
+        return style.note_figure(f"no episode has a value of {metric}")
+    styles = style.method_styles(names)
+    with rc_context(style.RC):
+        figure, grid, across = style.panel_figure(len(results), 0.45, 0.35 + _ROW_IN * len(names))
         for axes, (title, methods) in zip(grid, results.items(), strict=True):
             _panel(axes, methods, metric, styles)
             axes.set_title(title, loc="left")
         _limit(grid[0], column(rows, metric))
         for axes in grid[::across]:
-            axes.set_yticks(range(len(names)), short_names(names))
+            axes.set_yticks(range(len(names)), style.short_names(names))
         grid[0].set_ylim(len(names) - 0.45, -0.55)
-        separator = ";  " if across > 1 else "\n"
-        figure.supxlabel(
-            f"{axis_label(metric)}{separator}{count_text(results)}", fontsize=RC["axes.labelsize"]
-        )
+        name_panels(figure, axis_label(metric), results, across)
     return figure
 
 
 def _panel(
-    axes: Axes, methods: Mapping[str, Sequence[Row]], metric: str, styles: dict[str, MethodStyle]
+    axes: Axes, methods: Mapping[str, Sequence[Row]], metric: str, styles: dict[str, style.MethodStyle]
 ) -> None:
-    for place, (name, style) in enumerate(styles.items()):
+    for place, (name, look) in enumerate(styles.items()):
         if name not in methods:
             continue
         values = column(methods[name], metric)
         seen = values[np.isfinite(values)]
-        _draw_method(axes, seen, place, style, name)
+        _draw_method(axes, seen, place, look, name)
         axes.text(
             1.01, place, f"{len(seen)} of {len(values)}", transform=axes.get_yaxis_transform(),
-            va="center", ha="left", fontsize=SMALL - 1, color=FAINT,
+            va="center", ha="left", fontsize=style.SMALL - 1, color=style.FAINT,
         )  # fmt: skip
-    tidy(axes, "x")
+    style.tidy(axes, "x")
     axes.tick_params(axis="y", length=0)
 
 
-def _draw_method(axes: Axes, seen: Array, place: int, style: MethodStyle, name: str) -> None:
+def _draw_method(axes: Axes, seen: Array, place: int, look: style.MethodStyle, name: str) -> None:
     if not len(seen):
         return
     shape = density(seen)
     if shape is not None:
         x, height = shape
         axes.fill_between(
-            x, place - _HALF_VIOLIN * height, place + _HALF_VIOLIN * height, color=style.colour, alpha=0.22,
+            x, place - _HALF_VIOLIN * height, place + _HALF_VIOLIN * height, color=look.colour, alpha=0.22,
             linewidth=0,
         )  # fmt: skip
     # The same points at every drawing; of many episodes, some.
@@ -122,12 +99,14 @@ def _draw_method(axes: Axes, seen: Array, place: int, style: MethodStyle, name: 
     # As nothing is drawn between them, the points of a panel are one picture in a PDF; each picture takes the
     # memory of the whole figure.
     axes.scatter(
-        shown, place + offset, s=5, marker=style.mark, color=style.colour, alpha=0.55, linewidths=0,
+        shown, place + offset, s=5, marker=look.mark, color=look.colour, alpha=0.55, linewidths=0,
         label=name, rasterized=True, zorder=_POINTS_ZORDER,
     )  # fmt: skip
     low, middle, high = np.quantile(seen, [0.25, 0.5, 0.75])
-    axes.plot([low, high], [place, place], color=INK, linewidth=2.2, solid_capstyle="butt")
-    axes.plot([middle], [place], "o", color="white", markeredgecolor=INK, markersize=3.6, markeredgewidth=0.8)
+    axes.plot([low, high], [place, place], color=style.INK, linewidth=2.2, solid_capstyle="butt")
+    axes.plot(
+        [middle], [place], "o", color="white", markeredgecolor=style.INK, markersize=3.6, markeredgewidth=0.8
+    )
 
 
 def density(values: Array) -> tuple[Array, Array] | None:

@@ -16,9 +16,10 @@ from dune_rl.evaluation.folder import read_provenance, read_settings
 from dune_rl.evaluation.policies import PolicySource
 from dune_rl.evaluation.provenance import check_same_sources
 from dune_rl.evaluation.running import BlockRunner, EvaluationPlan
-from dune_rl.reporting.comparisons.comparison import EvaluatedPolicy
-from dune_rl.reporting.figures.results import failures_of
-from dune_rl.reporting.runs import Row
+from dune_rl.reporting.comparison import EvaluatedPolicy
+from dune_rl.reporting.figures.results import COLLISION, FAILURES, failures_of
+from dune_rl.reporting.figures.track_data import TrackSite
+from dune_rl.reporting.rows import Row
 from dune_rl.statistics.measures import MetricsRow
 
 Picture = NDArray[np.uint8]
@@ -27,19 +28,6 @@ BEFORE_S = (3.0, 2.0, 1.0, 0.0)
 _EVERY_S = 0.25
 # A row that was repeated is the same if these are.
 _COMPARED = ("steps", "collisions", "success")
-
-
-@dataclass(frozen=True)
-class WantedFailure:
-    """A failure to be shown: its kind ("collision", or the metric of an ending) and the episode's row."""
-
-    kind: str
-    row: Row
-
-    @property
-    def key(self) -> tuple[int, str]:
-        """Number of the episode, and agent."""
-        return int(self.row["episode"]), str(self.row["agent"])
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,75 +39,100 @@ class Replay:
     time_s: float
 
 
+@dataclass(eq=False)
+class Failure:
+    """A failure of a method: its kind ("collision", or the metric of an ending) and the episode's row.
+
+    It is one of `count` of its kind. It is shown by pictures (`replay`), or else by its `track` on a map; the
+    `reason` says why it has no pictures.
+    """
+
+    method: EvaluatedPolicy
+    kind: str
+    row: Row
+    count: int = 1
+    replay: Replay | None = None
+    track: TrackSite | None = None
+    reason: str = ""
+
+    @property
+    def key(self) -> tuple[int, str]:
+        """Number of the episode, and agent."""
+        return int(self.row["episode"]), str(self.row["agent"])
+
+    @property
+    def kind_name(self) -> str:
+        """What the kind is called."""
+        return COLLISION.name if self.kind == COLLISION.name else FAILURES[self.kind].name
+
+    @property
+    def is_shown(self) -> bool:
+        """Whether there are pictures, or a track."""
+        return self.replay is not None or self.track is not None
+
+
 @dataclass
 class _Watched:
     """A wanted failure while its episode runs."""
 
-    wanted: WantedFailure
+    failure: Failure
     moments: deque[tuple[int, Moment]] = field(default_factory=deque)
     replay: Replay | None = None
     row: MetricsRow | None = None
 
 
 def replay_failures(
-    method: EvaluatedPolicy,
-    wanted: Sequence[WantedFailure],
-    size: tuple[int, int],
-    progress: Callable[[], None] = lambda: None,
-) -> dict[tuple[int, str], Replay | str]:
-    """The pictures of each of `wanted`, or why there are none, by episode and agent; `size` is in pixels.
+    failures: Sequence[Failure], size: tuple[int, int], progress: Callable[[], None] = lambda: None
+) -> None:
+    """Give `failures` of one method their pictures, of `size` [px], or the reason why there are none.
 
     The episodes run as their evaluation ran them: in the same batches, as the last bits of a network depend
     on how many run side by side. With a built-in policy each runs by itself first, which is quicker. An
     episode that comes out otherwise than its row says gives no pictures. `progress` is called after each.
     """
     try:
-        plan, source = _plan(method)
+        plan, source = _plan(failures[0].method)
+        if source.kind == "callable":
+            # A report must not run code that a folder names.
+            raise DuneError("its policy is a function of a user's, which reports do not run")
     except DuneError as error:
-        return _for_all(wanted, str(error), progress)
-    if source.kind == "callable":
-        # A report must not run code that a folder names.
-        return _for_all(wanted, "its policy is a function of a user's, which reports do not run", progress)
+        return _give_up(failures, str(error), progress)
     plan = replace(plan, sources=(source,))
     if source.kind == "built-in" and plan.scenes > 1:
-        alone = replace(plan, conf=plan.conf.model_copy(update={"scenes": 1}))
-        found = _replay(alone, wanted, size, progress)
-        again = [one for one in wanted if isinstance(found[one.key], str)]
-        return found | _replay(plan, again, size, lambda: None) if again else found
-    return _replay(plan, wanted, size, progress)
+        _replay(replace(plan, conf=plan.conf.model_copy(update={"scenes": 1})), failures, size, progress)
+        failures, progress = [one for one in failures if one.replay is None], lambda: None
+    if failures:
+        _replay(plan, failures, size, progress)
 
 
 def _replay(
-    plan: EvaluationPlan, wanted: Sequence[WantedFailure], size: tuple[int, int], progress: Callable[[], None]
-) -> dict[tuple[int, str], Replay | str]:
-    """The pictures of `wanted`, from the batches of the plan that have them."""
-    found: dict[tuple[int, str], Replay | str] = {}
+    plan: EvaluationPlan, failures: Sequence[Failure], size: tuple[int, int], progress: Callable[[], None]
+) -> None:
+    """Run the batches of the plan that have the failures."""
     try:
         runner = BlockRunner(plan)
     except (DuneError, OSError, ValueError) as error:
-        return _for_all(wanted, f"its episodes cannot be run: {error}", progress)
+        return _give_up(failures, f"its episodes cannot be run: {error}", progress)
     try:
-        for first in sorted({one.key[0] // plan.scenes * plan.scenes for one in wanted}):
+        for first in sorted({one.key[0] // plan.scenes * plan.scenes for one in failures}):
             count = min(plan.scenes, plan.episodes - first)
-            watched = [_Watched(one) for one in wanted if first <= one.key[0] < first + count]
+            watched = [_Watched(one) for one in failures if first <= one.key[0] < first + count]
             try:
                 runner.watch(EpisodeBlock(0, first, count), _Watcher(runner, watched, size))
             except (DuneError, OSError, ValueError) as error:
-                found |= {each.wanted.key: f"its episode cannot be run: {error}" for each in watched}
+                _give_up([each.failure for each in watched], f"its episode cannot be run: {error}", progress)
+                continue
             for each in watched:
-                found.setdefault(each.wanted.key, _outcome(each))
+                _tell_outcome(each)
                 progress()
     finally:
         runner.close()
-    return found
 
 
-def _for_all(
-    wanted: Sequence[WantedFailure], reason: str, progress: Callable[[], None]
-) -> dict[tuple[int, str], Replay | str]:
-    for _ in wanted:
+def _give_up(failures: Sequence[Failure], reason: str, progress: Callable[[], None]) -> None:
+    for one in failures:
+        one.reason = reason.splitlines()[0]
         progress()
-    return {one.key: reason.splitlines()[0] for one in wanted}
 
 
 def _plan(method: EvaluatedPolicy) -> tuple[EvaluationPlan, PolicySource]:
@@ -135,18 +148,18 @@ def _plan(method: EvaluatedPolicy) -> tuple[EvaluationPlan, PolicySource]:
     return plan, source
 
 
-def _outcome(watched: _Watched) -> Replay | str:
-    if watched.row is None:
-        return "its episode did not end"
-    stored = watched.wanted.row
-    same = failures_of(watched.row) == failures_of(stored) and all(
-        float(watched.row[name]) == float(stored[name])
-        for name in _COMPARED
-        if name in stored and name in watched.row
-    )
-    if not same:
-        return "its episode came out differently on this machine"
-    return watched.replay or "its failure was not met again"
+def _tell_outcome(watched: _Watched) -> None:
+    failure, row, stored = watched.failure, watched.row, watched.failure.row
+    if row is None:
+        failure.reason = "its episode did not end"
+        return
+    known = [name for name in _COMPARED if name in stored and name in row]
+    same = failures_of(row) == failures_of(stored)
+    if not same or any(float(row[name]) != float(stored[name]) for name in known):
+        failure.reason = "its episode came out differently on this machine"
+    else:
+        failure.replay = watched.replay
+        failure.reason = "" if watched.replay else "its failure was not met again"
 
 
 class _Watcher:
@@ -171,7 +184,7 @@ class _Watcher:
                 self._look(each)
 
     def _look(self, watched: _Watched) -> None:
-        episode, agent = watched.wanted.key
+        episode, agent = watched.failure.key
         scenes = np.flatnonzero((self._simulation.episodes == episode) & ~self._simulation.resting)
         if not len(scenes):
             return
@@ -183,7 +196,7 @@ class _Watcher:
         if state.absent is not None and state.absent[row]:
             return
         failed = (
-            bool(state.contacts.total[row]) if watched.wanted.kind == "collision" else bool(group.done[row])
+            bool(state.contacts.total[row]) if watched.failure.kind == "collision" else bool(group.done[row])
         )
         if failed or step % self._every == 0:
             watched.moments.append((step, self._pictures.moment(scene, agent)))
@@ -208,5 +221,5 @@ class _Watcher:
             for row in agents:
                 name = self._agents[group][int(row["agent"])]
                 for each in self._watched:
-                    if each.wanted.key == (int(row["episode"]), name):
+                    if each.failure.key == (int(row["episode"]), name):
                         each.row = dict(row)

@@ -1,16 +1,15 @@
 """What figures of methods are made of: the rows of episodes by cases and method."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
-from dune_rl.geometry.arrays import Array
-from dune_rl.metrics.catalogue import CATALOGUE, Measure
-from dune_rl.metrics.number_text import format_range
-from dune_rl.reporting.runs import Row
+from dune_rl.metrics.catalogue import CATALOGUE, Measure, format_range
+from dune_rl.reporting.figures.style import RC
+from dune_rl.reporting.rows import Row, column
 
 # Rows of episodes by the title of the cases (a set, or a world and a seed), and in that by method.
 Results = Mapping[str, Mapping[str, Sequence[Row]]]
@@ -22,39 +21,23 @@ def method_names(results: Results) -> list[str]:
     return list(dict.fromkeys(name for methods in results.values() for name in methods))
 
 
-def column(rows: Sequence[Row], name: str) -> Array:
-    """The values of a column, NaN where a row has none."""
-    return np.array([_number(row.get(name)) for row in rows], float)
-
-
-def _number(value: object) -> float:
-    return float(value) if isinstance(value, int | float) else math.nan
-
-
-def measure_of_metric(metric: str) -> Measure:
-    """The measure of a metric; one of its own name for users' metrics."""
-    return _MEASURES.get(metric) or Measure(metric, metric)
-
-
 def axis_label(metric: str) -> str:
     """What a metric is, with its unit; shares are of 1, not in per cent."""
-    measure = measure_of_metric(metric)
+    measure = _MEASURES.get(metric) or Measure(metric, metric)
     # Of an episode, not of their mean.
     text = (measure.meaning or measure.name.replace("_", " ")).removeprefix("mean ")
     unit = "" if measure.unit == "%" else measure.unit
     return f"{text} [{unit}]" if unit else text
 
 
-def count_text(results: Results) -> str:
-    """How many episodes each method has on each set of cases, and on how many sites, in words."""
-    episodes = sorted({_episodes(rows) for methods in results.values() for rows in methods.values()})
-    sites = sorted({_sites(rows) for methods in results.values() for rows in methods.values()})
-    text = f"{format_range(episodes)} episode" + ("" if episodes == [1] else "s")
-    return (
-        text
-        if sites in ([], [0])
-        else f"{text} on {format_range(sites)} site" + ("" if sites == [1] else "s")
-    )
+def name_panels(figure: Figure, label: str, results: Results, across: int) -> None:
+    """Write below panels what they show, and how many episodes each method has, on how many sites."""
+    counts = [(_episodes(rows), _sites(rows)) for methods in results.values() for rows in methods.values()]
+    episodes, sites = zip(*counts, strict=True)
+    text = f"{format_range(episodes)} episode{'' if set(episodes) == {1} else 's'}"
+    text += f" on {format_range(sites)} site{'' if set(sites) == {1} else 's'}"
+    separator = ";  " if across > 1 else "\n"
+    figure.supxlabel(f"{label}{separator}{text}", fontsize=RC["axes.labelsize"])
 
 
 def _episodes(rows: Sequence[Row]) -> int:

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import islice
 from math import ceil
 from typing import Any
 
@@ -24,6 +23,8 @@ _MARKS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "p", "h", "*")
 _LONGEST_NAME = 26
 # Entries of a legend that fit side by side on a page, at most.
 _ACROSS = 4
+# Panels side by side, at most.
+_MOST_ACROSS = 3
 _LEGEND_ROW_IN = 0.17
 
 # Fonts are embedded as outlines that journals accept; give it to `rc_context` when a figure is saved, too.
@@ -107,12 +108,14 @@ def short_names(names: Iterable[str]) -> list[str]:
     return [name if len(name) <= _LONGEST_NAME else "…" + name[-(_LONGEST_NAME - 1) :] for name in own]
 
 
-def draw_legend(figure: Figure, styles: dict[str, MethodStyle], *, marks: bool = True) -> None:
+def draw_legend(figure: Figure, styles: dict[str, MethodStyle]) -> None:
     """A legend of methods above the panels."""
     handles = [
         Line2D(
             [], [], color=style.colour, linestyle=style.line,  # type: ignore[arg-type]
-            marker=style.mark if marks else "", markersize=3.5, linewidth=1.3, label=_entry(name),
+            marker=style.mark, markersize=3.5, linewidth=1.3,
+            # Matplotlib leaves out of legends what begins with an underscore.
+            label=f" {name}" if name.startswith("_") else name,
         )
         for name, style in zip(short_names(styles), styles.values(), strict=True)
     ]  # fmt: skip
@@ -126,11 +129,6 @@ def draw_legend(figure: Figure, styles: dict[str, MethodStyle], *, marks: bool =
         if row * across + column < len(handles)
     ]
     figure.legend(handles=ordered, loc="outside upper center", ncols=across, frameon=False, handlelength=2.8)
-
-
-def _entry(name: str) -> str:
-    # Matplotlib leaves out of legends what begins with an underscore.
-    return f" {name}" if name.startswith("_") else name
 
 
 def legend_height_in(count: int, width_in: float) -> float:
@@ -148,20 +146,22 @@ def scale_as_share(axes: Axes) -> None:
     axes.yaxis.set_major_formatter(PercentFormatter(1, decimals=0))
 
 
-def panel_grid(count: int, most_across: int) -> tuple[int, int]:
-    """Rows and columns for `count` panels, at most `most_across` side by side."""
-    across = max(1, min(count, most_across))
-    return max(1, ceil(count / across)), across
+def panel_figure(
+    count: int, margin_in: float, panel_in: float, methods: int = 1
+) -> tuple[Figure, list[Axes], int]:
+    """A figure, its `count` panels of one scale, and how many of them are side by side, at most three.
 
-
-def panels(figure: Figure, count: int, most_across: int, **shared: object) -> list[Axes]:
-    """`count` panels in rows, at most `most_across` side by side; places that are left over stay empty."""
-    rows, across = panel_grid(count, most_across)
-    grid = figure.subplots(rows, across, squeeze=False, **shared).reshape(-1)  # type: ignore[call-overload]
+    Panels are `panel_in` [in] high, with titles; all else needs `margin_in`, and the legend of `methods`.
+    """
+    across = max(1, min(count, _MOST_ACROSS))
+    rows = max(1, ceil(count / across))
+    width = COLUMN_IN if across == 1 else PAGE_IN
+    figure = new_figure(width, margin_in + legend_height_in(methods, width) + panel_in * rows)
+    grid = figure.subplots(rows, across, squeeze=False, sharex=True, sharey=True).reshape(-1)
     for axes in grid[count:]:
         axes.remove()
     if count % across:
         # Nothing is below them that would show their common axis.
         for axes in grid[count - across : (rows - 1) * across]:
             axes.xaxis.set_tick_params(labelbottom=True)
-    return list(islice(grid, count))
+    return figure, list(grid[:count]), across

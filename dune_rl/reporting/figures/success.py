@@ -1,7 +1,6 @@
 """Success against properties of the episodes, such as the distance to the goal, with intervals."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from matplotlib import rc_context
@@ -10,24 +9,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from dune_rl.geometry.arrays import Array
-from dune_rl.reporting.figures.results import Results, column, count_text, method_names
-from dune_rl.reporting.figures.style import (
-    COLUMN_IN,
-    FAINT,
-    PAGE_IN,
-    RC,
-    SMALL,
-    MethodStyle,
-    draw_legend,
-    legend_height_in,
-    method_styles,
-    new_figure,
-    note_figure,
-    panel_grid,
-    panels,
-    tidy,
-)
-from dune_rl.reporting.runs import Row
+from dune_rl.reporting.figures import style
+from dune_rl.reporting.figures.results import Results, method_names, name_panels
+from dune_rl.reporting.rows import Row, column
 from dune_rl.statistics.intervals import Estimate, estimate_proportion
 from dune_rl.statistics.measures import cluster_rows
 
@@ -35,7 +19,7 @@ PROPERTIES = {
     "goal_distance_m": "straight distance from start to goal [m]",
     "slope_deg": "steepest ground on the straight line to the goal [°]",
 }
-_MOST_BINS, _MOST_ACROSS = 6, 3
+_MOST_BINS = 6
 # A bin has at least this share of the values.
 _LEAST_SHARE = 0.05
 # A bin has at least this many episodes of a method, on average.
@@ -46,15 +30,6 @@ _LEAST_RANGE = 1e-3
 _SPREAD = 0.3
 # More methods than these have thinner intervals.
 _FEW = 5
-
-
-@dataclass(frozen=True)
-class SuccessBin:
-    """The share of successes among episodes whose property is in [`low`, `high`), with Wilson's interval."""
-
-    low: float
-    high: float
-    share: Estimate
 
 
 def round_edges(values: Array, least: float = 0.0) -> Array:
@@ -87,19 +62,18 @@ def _join_sparse(values: Array, edges: Array, least: float) -> Array:
     return edges
 
 
-def success_by_bin(rows: Sequence[Row], name: str, edges: Array) -> list[SuccessBin]:
-    """Success in the bins of the property `name`; rows without it or without success are left out."""
+def success_by_bin(rows: Sequence[Row], name: str, edges: Array) -> list[Estimate]:
+    """The share of successes, with Wilson's interval, in each bin of the property `name`, from edge to edge.
+
+    Rows without the property or without success are left out.
+    """
     values, success = column(rows, name), column(rows, "success")
     known = np.isfinite(values) & np.isfinite(success)
     values, hits = values[known], success[known] > 0
     clusters, _ = cluster_rows([row for row, is_known in zip(rows, known, strict=True) if is_known])
     number = np.searchsorted(edges, values, side="right") - 1
     return [
-        SuccessBin(
-            float(edges[bin]),
-            float(edges[bin + 1]),
-            estimate_proportion(hits[number == bin], None if clusters is None else clusters[number == bin]),
-        )
+        estimate_proportion(hits[number == bin], None if clusters is None else clusters[number == bin])
         for bin in range(len(edges) - 1)
     ]
 
@@ -120,17 +94,14 @@ def draw_success_by(results: Results, name: str = "goal_distance_m") -> Figure:
     all_rows = [row for methods in shown.values() for rows in methods.values() for row in rows]
     if not shown or not np.isfinite(column(all_rows, "success")).any():
         missing = "success" if shown else name
-        return note_figure(f"no episode has {missing}: evaluate again with this version")
+        return style.note_figure(f"no episode has {missing}: evaluate again with this version")
     values = column(all_rows, name)
     if np.nanmax(values) - np.nanmin(values) < _LEAST_RANGE:
-        return note_figure(f"{label}: {np.nanmax(values):.3g} in all episodes")
-    styles = method_styles(method_names(shown))
+        return style.note_figure(f"{label}: {np.nanmax(values):.3g} in all episodes")
+    styles = style.method_styles(method_names(shown))
     edges = round_edges(values, _LEAST_COUNT * len(styles))
-    with rc_context(RC):
-        down, across = panel_grid(len(shown), _MOST_ACROSS)
-        width = COLUMN_IN if across == 1 else PAGE_IN
-        figure = new_figure(width, 0.5 + legend_height_in(len(styles), width) + 1.75 * down)
-        grid = panels(figure, len(shown), _MOST_ACROSS, sharex=True, sharey=True)
+    with rc_context(style.RC):
+        figure, grid, across = style.panel_figure(len(shown), 0.5, 1.75, len(styles))
         for axes, (cases, methods) in zip(grid, shown.items(), strict=True):
             _panel(axes, methods, name, edges, styles)
             axes.set_title(cases, loc="left")
@@ -140,14 +111,17 @@ def draw_success_by(results: Results, name: str = "goal_distance_m") -> Figure:
         for axes in grid[::across]:
             axes.set_ylabel("success rate")
         if len(styles) > 1:
-            draw_legend(figure, styles)
-        separator = ";  " if across > 1 else "\n"
-        figure.supxlabel(f"{label}{separator}{count_text(shown)}", fontsize=RC["axes.labelsize"])
+            style.draw_legend(figure, styles)
+        name_panels(figure, label, shown, across)
     return figure
 
 
 def _panel(
-    axes: Axes, methods: Mapping[str, Sequence[Row]], name: str, edges: Array, styles: dict[str, MethodStyle]
+    axes: Axes,
+    methods: Mapping[str, Sequence[Row]],
+    name: str,
+    edges: Array,
+    styles: dict[str, style.MethodStyle],
 ) -> None:
     narrowest = float(np.diff(edges).min())
     # Side by side within a bin, so that intervals do not hide each other.
@@ -155,31 +129,25 @@ def _panel(
     counts: list[list[int]] = []
     for method, place in places.items():
         bins = success_by_bin(methods[method], name, edges)
-        counts.append([one.share.count for one in bins])
+        counts.append([one.count for one in bins])
         shift = 0.0 if len(places) == 1 else (place / (len(places) - 1) - 0.5) * _SPREAD
-        full = [one for one in bins if one.share.count]
-        x = np.array([(one.low + one.high) / 2 + shift * narrowest for one in full])
-        y = np.array([one.share.value for one in full])
-        ends = np.array([[one.share.low, one.share.high] for one in full]).reshape(-1, 2).T
-        style = styles[method]
+        full = [one.count > 0 for one in bins]
+        x = ((edges[:-1] + edges[1:]) / 2 + shift * narrowest)[full]
+        y, low, high = np.array([(one.value, one.low, one.high) for one in bins]).T[:, full]
+        look = styles[method]
         axes.errorbar(
-            x, y, np.abs(ends - y), color=style.colour, marker=style.mark, markersize=3.2, linewidth=1.0,
-            linestyle=style.line, elinewidth=0.9 if len(places) <= _FEW else 0.5, capsize=0, label=method,
+            x, y, np.abs([low - y, high - y]), color=look.colour, marker=look.mark, markersize=3.2,
+            linewidth=1.0, linestyle=look.line, elinewidth=0.9 if len(places) <= _FEW else 0.5, capsize=0,
+            label=method,
         )  # fmt: skip
     for low, high, each in zip(edges[:-1], edges[1:], zip(*counts, strict=True), strict=True):
         least, most = min(each), max(each)
         text = f"{most}" if least == most else f"{least}\N{EN DASH}{most}"
         axes.text(
-            (low + high) / 2,
-            -0.1,
-            text,
-            ha="center",
-            va="center",
-            fontsize=SMALL - 1,
-            color=FAINT,
-            gid="count",
-        )
-    tidy(axes)
+            (low + high) / 2, -0.1, text, ha="center", va="center", fontsize=style.SMALL - 1,
+            color=style.FAINT, gid="count",
+        )  # fmt: skip
+    style.tidy(axes)
     axes.set_xticks(edges)
     axes.set_xlim(edges[0], edges[-1])
-    axes.axhline(0.0, color=FAINT, linewidth=0.4)
+    axes.axhline(0.0, color=style.FAINT, linewidth=0.4)

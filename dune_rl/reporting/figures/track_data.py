@@ -12,9 +12,9 @@ from dune_rl.config.checks import validate
 from dune_rl.config.schema import EnvConf
 from dune_rl.core.errors import DuneError
 from dune_rl.geometry.arrays import Array
-from dune_rl.reporting.comparisons.comparison import EvaluatedPolicy
-from dune_rl.reporting.figures.results import Ending, column, ending_of
-from dune_rl.reporting.runs import Row
+from dune_rl.reporting.comparison import EvaluatedPolicy
+from dune_rl.reporting.figures.results import Ending, ending_of
+from dune_rl.reporting.rows import Row, column
 from dune_rl.worlds.world import World
 
 MOST_SITES, MOST_EPISODES = 3, 4
@@ -44,18 +44,22 @@ class EpisodeTrack:
 
 @dataclass(frozen=True, eq=False)
 class TrackSite:
-    """Tracks on a site by method; `world` is None where it cannot be built, and `reason` says why."""
+    """Tracks on a site by method; `world` is None where it cannot be built."""
 
     cases: str
     world_seed: int | None
     world: World | None
-    reason: str
     tracks: dict[str, list[EpisodeTrack]]
 
     @property
     def title(self) -> str:
         """The cases and the site."""
         return self.cases if self.world_seed is None else f"{self.cases}, site {self.world_seed}"
+
+    @property
+    def all_tracks(self) -> list[EpisodeTrack]:
+        """The tracks of all methods."""
+        return [track for tracks in self.tracks.values() for track in tracks]
 
 
 def collect_tracks(
@@ -75,9 +79,8 @@ def collect_tracks(
         for site in sites[:most_sites]:
             rows = [row for method in members for row in method.rows if _site(row) == site]
             episodes = sorted({row["episode"] for row in rows})[:most_episodes]
-            world, reason = _world(members[0].run.config, rows[0])
             tracks = {method.name: _tracks(method, site, episodes) for method in members}
-            found.append(TrackSite(cases, site, world, reason, tracks))
+            found.append(TrackSite(cases, site, _world(members[0].run.config, rows[0]), tracks))
     return found
 
 
@@ -90,9 +93,8 @@ def track_of(method: EvaluatedPolicy, row: Row, kind: str, seconds: float) -> Tr
     ]
     if not tracks:
         return None
-    world, reason = _world(method.run.config, row)
     ends = [until_failure(track, kind, seconds) for track in tracks]
-    return TrackSite(method.cases, _site(row), world, reason, {method.name: ends})
+    return TrackSite(method.cases, _site(row), _world(method.run.config, row), {method.name: ends})
 
 
 def until_failure(track: EpisodeTrack, kind: str, seconds: float) -> EpisodeTrack:
@@ -101,8 +103,7 @@ def until_failure(track: EpisodeTrack, kind: str, seconds: float) -> EpisodeTrac
     if kind == "collision" and len(track.collision_s):
         last = track.collision_s[0]
     kept = (track.times_s <= last) & (track.times_s >= last - seconds)
-    numbers = np.flatnonzero(kept)
-    first, end = int(numbers[0]), int(numbers[-1]) + 1
+    first, end = np.flatnonzero(kept)[[0, -1]] + [0, 1]
     seen = (track.collision_s <= last) & (track.collision_s >= last - seconds)
     return replace(
         track,
@@ -117,57 +118,53 @@ def until_failure(track: EpisodeTrack, kind: str, seconds: float) -> EpisodeTrac
 
 
 def _site(row: Row) -> int | None:
-    seed = row.get("world_seed", math.nan)
-    return int(seed) if isinstance(seed, int | float) and math.isfinite(seed) else None
+    seed = _number(row, "world_seed")
+    return int(seed) if math.isfinite(seed) else None
 
 
-def _world(config: Mapping[str, Any], row: Row) -> tuple[World | None, str]:
-    """The world of an episode, or why it cannot be built."""
+def _world(config: Mapping[str, Any], row: Row) -> World | None:
+    """The world of an episode; None where it cannot be built."""
     try:
         known = {key: value for key, value in config.items() if key in EnvConf.model_fields}
         world = validate(EnvConf, known).world
         changed: dict[str, int] = {}
         for name, key in (("seed", "world_seed"), ("layout_seed", "randomisation/layout_seed")):
-            value = row.get(key, math.nan)
-            if name in type(world).model_fields and isinstance(value, int | float) and math.isfinite(value):
+            value = _number(row, key)
+            if name in type(world).model_fields and math.isfinite(value):
                 changed[name] = int(value)
-        return build_world(world.model_copy(update=changed)), ""
-    except (DuneError, OSError, ValueError) as error:
-        return None, str(error).splitlines()[0]
+        return build_world(world.model_copy(update=changed))
+    except (DuneError, OSError, ValueError):
+        return None
 
 
 def _tracks(method: EvaluatedPolicy, site: int | None, episodes: Sequence[float]) -> list[EpisodeTrack]:
-    chosen = {row["episode"]: None for row in method.rows if row["episode"] in episodes}
+    rows = [row for row in method.rows if row["episode"] in episodes and _site(row) == site]
     steps: dict[tuple[float, str], list[Row]] = {}
-    for step in method.run.steps.of(method.policy, chosen):
+    for step in method.run.steps.of(method.policy, {row["episode"] for row in rows}):
         steps.setdefault((step["episode"], str(step["agent"])), []).append(step)
     agents = {str(row["agent"]) for row in method.rows}
     found = []
-    for row in method.rows:
-        mine = steps.get((row["episode"], str(row["agent"])))
-        if _site(row) != site or not mine:
-            continue
-        others = [
-            each
-            for (episode, agent), each in steps.items()
-            if episode == row["episode"] and agent not in agents
-        ]
-        found.append(_track(row, mine, others))
+    for row in rows:
+        if mine := steps.get((row["episode"], str(row["agent"]))):
+            others = [
+                each
+                for (episode, agent), each in steps.items()
+                if episode == row["episode"] and agent not in agents
+            ]
+            found.append(_track(row, mine, others))
     return found
 
 
 def _track(row: Row, steps: Sequence[Row], others: Sequence[Sequence[Row]]) -> EpisodeTrack:
-    names = ("x_m", "y_m", "speed_mps", "time_s")
-    points = _finite(np.column_stack([column(steps, name) for name in names]))
+    points = _finite(steps, "x_m", "y_m", "speed_mps", "time_s")
     places, speeds, times = points[:, :2], np.abs(points[:, 2]), points[:, 3]
     start = np.array([[_number(row, "start_x_m"), _number(row, "start_y_m")]])
     if np.isfinite(start).all():
         places, times = np.concatenate([start, places]), np.append(0.0, times)
     else:
         speeds = speeds[1:]
-    total = np.nan_to_num(column(steps, "collisions_so_far"))
-    new = np.diff(total, prepend=0.0) > 0
-    where = _finite(np.column_stack([column(steps, name) for name in ("x_m", "y_m", "time_s")])[new])
+    new = np.diff(np.nan_to_num(column(steps, "collisions_so_far")), prepend=0.0) > 0
+    where = _finite([step for step, begins in zip(steps, new, strict=True) if begins], "x_m", "y_m", "time_s")
     return EpisodeTrack(
         int(row["episode"]),
         str(row["agent"]),
@@ -179,14 +176,13 @@ def _track(row: Row, steps: Sequence[Row], others: Sequence[Sequence[Row]]) -> E
         where[:, 2],
         ending_of(row),
         _number(row, "success") > 0,
-        [
-            _finite(np.column_stack([column(each, name) for name in ("x_m", "y_m", "time_s")]))
-            for each in others
-        ],
+        [_finite(each, "x_m", "y_m", "time_s") for each in others],
     )
 
 
-def _finite(points: Array) -> Array:
+def _finite(steps: Sequence[Row], *names: str) -> Array:
+    """The columns `names` of the steps that have a finite value in all of them."""
+    points = np.column_stack([column(steps, name) for name in names])
     return points[np.isfinite(points).all(axis=1)]
 
 

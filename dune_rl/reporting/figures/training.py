@@ -12,20 +12,10 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from dune_rl.geometry.arrays import Array
-from dune_rl.reporting.figures.style import (
-    PAGE_IN,
-    RC,
-    SMALL,
-    MethodStyle,
-    draw_legend,
-    legend_height_in,
-    method_styles,
-    new_figure,
-    note_figure,
-    scale_as_share,
-    tidy,
-)
-from dune_rl.reporting.runs import Row, TrainingRun
+from dune_rl.metrics.catalogue import format_range
+from dune_rl.reporting.figures import style
+from dune_rl.reporting.inputs import TrainingRun
+from dune_rl.reporting.rows import Row, is_number
 from dune_rl.statistics.intervals import CONFIDENCE
 
 # From this many seeds on, a band is the t interval of the mean; fewer show their range.
@@ -101,35 +91,28 @@ def draw_training_curves(groups: Mapping[str, Sequence[TrainingRun]]) -> Figure:
     bands are 95 % t intervals of the mean from 5 seeds on, and the smallest and largest value of fewer.
     Groups of agents have rows of their own.
     """
-    agents = list(
-        dict.fromkeys(
-            str(row.get("group", "")) for runs in groups.values() for run in runs for row in run.history
-        )
-    )
+    runs_of_all = [run for runs in groups.values() for run in runs]
+    agents = dict.fromkeys(agent for run in runs_of_all for agent in run.agent_groups)
     shown = [
         (agent, metric, label)
         for agent in agents
         for metric, label in _ROWS
-        if any(
-            len(training_band(runs, kind, metric, agent).frames)
-            for runs in groups.values()
-            for kind, _ in _KINDS
-        )
+        if any(len(training_band(runs_of_all, kind, metric, agent).frames) for kind, _ in _KINDS)
     ]
     if not shown:
-        return note_figure("no episode has ended in these trainings")
-    styles = method_styles(list(groups))
-    with rc_context(RC):
-        height = 0.45 + 1.55 * len(shown) + legend_height_in(len(styles), PAGE_IN)
-        figure = new_figure(PAGE_IN, height)
+        return style.note_figure("no episode has ended in these trainings")
+    styles = style.method_styles(list(groups))
+    with rc_context(style.RC):
+        height = 0.45 + 1.55 * len(shown) + style.legend_height_in(len(styles), style.PAGE_IN)
+        figure = style.new_figure(style.PAGE_IN, height)
         grid = figure.subplots(len(shown), len(_KINDS), sharex=True, sharey="row", squeeze=False)
         for row, (agent, metric, label) in zip(grid, shown, strict=True):
             for axes, (kind, _) in zip(row, _KINDS, strict=True):
                 for name, runs in groups.items():
                     _draw(axes, training_band(runs, kind, metric, agent), styles[name], kind, name)
-                tidy(axes)
+                style.tidy(axes)
                 if metric == "SR":
-                    scale_as_share(axes)
+                    style.scale_as_share(axes)
             row[0].set_ylabel(f"{agent}: {label}" if agent else label)
         for axes, (kind, title) in zip(grid[0], _KINDS, strict=True):
             axes.set_title(f"{title}: {_counts(groups, kind)}", loc="left")
@@ -138,48 +121,43 @@ def draw_training_curves(groups: Mapping[str, Sequence[TrainingRun]]) -> Figure:
             axes.set_xlim(left=0)
             axes.xaxis.set_major_formatter(EngFormatter(sep=""))
         if len(styles) > 1:
-            draw_legend(figure, styles)
-        figure.supxlabel(_caption(groups), fontsize=SMALL, x=0.995, ha="right")
+            style.draw_legend(figure, styles)
+        figure.supxlabel(_caption(groups), fontsize=style.SMALL, x=0.995, ha="right")
     return figure
 
 
-def _draw(axes: Axes, band: Band, style: MethodStyle, kind: str, name: str) -> None:
+def _draw(axes: Axes, band: Band, look: style.MethodStyle, kind: str, name: str) -> None:
     if not len(band.frames):
         return
-    axes.fill_between(band.frames, band.low, band.high, color=style.colour, alpha=0.2, linewidth=0)
-    marks = style.mark if kind == "eval" else ""
+    axes.fill_between(band.frames, band.low, band.high, color=look.colour, alpha=0.2, linewidth=0)
+    marks = look.mark if kind == "eval" else ""
     every = max(1, len(band.frames) // 12)
     axes.plot(
-        band.frames, band.mean, color=style.colour, linestyle=style.line, linewidth=1.2,  # type: ignore[arg-type]
+        band.frames, band.mean, color=look.colour, linestyle=look.line, linewidth=1.2,  # type: ignore[arg-type]
         marker=marks, markersize=3, markevery=every, label=name,
     )  # fmt: skip
 
 
 def _counts(groups: Mapping[str, Sequence[TrainingRun]], kind: str) -> str:
     """Episodes behind each point, as the rows of these runs state them."""
-    found = sorted(
-        {
-            int(row["episodes"])
-            for runs in groups.values()
-            for run in runs
-            for row in run.history
-            if row.get("kind") == kind and np.isfinite(row.get("episodes", np.nan))
-        }
-    )
-    if not found:
-        return "no rows"
-    number = f"{found[-1]}" if len(found) == 1 else f"{found[0]} to {found[-1]}"
-    return f"{'last ' if kind == 'train' else ''}{number} episodes a point"
+    found = [
+        int(row["episodes"])
+        for runs in groups.values()
+        for run in runs
+        for row in run.history
+        if row.get("kind") == kind and is_number(row.get("episodes"))
+    ]
+    last = "last " if kind == "train" else ""
+    return f"{last}{format_range(found)} episodes a point" if found else "no rows"
 
 
 def _caption(groups: Mapping[str, Sequence[TrainingRun]]) -> str:
-    numbers = sorted({len(runs) for runs in groups.values()})
-    seeds = f"{numbers[0]}" if len(numbers) == 1 else f"{numbers[0]} to {numbers[-1]}"
-    if numbers[-1] == 1:
+    numbers = [len(runs) for runs in groups.values()]
+    if max(numbers) == 1:
         return "one seed each, no band" if len(groups) > 1 else "one seed, no band"
     kinds = []
     if any(1 < number < SEEDS_FOR_INTERVAL for number in numbers):
         kinds.append("smallest to largest")
-    if numbers[-1] >= SEEDS_FOR_INTERVAL:
+    if max(numbers) >= SEEDS_FOR_INTERVAL:
         kinds.append("95 % t interval of the mean")
-    return f"{seeds} seeds; lines: means, bands: {' or '.join(kinds)}"
+    return f"{format_range(numbers)} seeds; lines: means, bands: {' or '.join(kinds)}"

@@ -3,25 +3,24 @@
 import math
 from collections.abc import Mapping, Sequence
 
-from dune_rl.metrics.catalogue import Measure, measure_of
-from dune_rl.metrics.number_text import (
+from dune_rl.metrics.catalogue import (
     MINUS,
     NOTHING,
+    Measure,
     format_difference,
-    format_effect,
     format_p,
     format_range,
     format_value,
+    measure_of,
 )
-from dune_rl.reporting.comparisons.comparison import Comparison
-from dune_rl.reporting.csv_rows import is_number
+from dune_rl.reporting.comparison import Comparison, files_of
 from dune_rl.reporting.figures.results import COLLISION, FAILURES
+from dune_rl.reporting.rows import is_number
 from dune_rl.reporting.tables.table import Cell, Table, estimate_cell, measure_title
 from dune_rl.statistics.intervals import Estimate
 from dune_rl.statistics.paired_comparison import PairedComparison
 
 PAPER_MEASURES = ("SR", "TR", "TC", "MTT", "OC", "VR", "VORT", "TSR")
-Estimates = Mapping[str, Mapping[str, Estimate]]
 PAPER = "DUnE paper"
 _CAVEAT = (
     "The paper's figures come from another simulator, robot model and metrics code, without intervals: they "
@@ -48,17 +47,12 @@ def main_table(name: str, comparison: Comparison) -> Table:
     rows = [
         [
             Cell(method.name),
-            Cell(_count(method.episodes, method.agents)),
-            *(
-                estimate_cell(
-                    one, estimates[method.name].get(one.name), best=_is_best(one, method.name, estimates)
-                )
-                for one in shown
-            ),
+            Cell(f"{method.episodes}" + (f", {method.agents} agents each" if method.agents > 1 else "")),
+            *(_estimate(one, method.name, estimates) for one in shown),
         ]
         for method in comparison.methods
     ]
-    caption = [_intervals(comparison), vort_note(comparison)]
+    caption = [_intervals(comparison)]
     if len(comparison.methods) > 1:
         caption.append("The best value is marked, whether or not it differs significantly.")
     if figures:
@@ -67,12 +61,10 @@ def main_table(name: str, comparison: Comparison) -> Table:
     return Table(
         f"{name}_main",
         comparison.cases.title,
-        " ".join(filter(None, caption)),
+        " ".join(caption),
         ["method", "episodes", *(measure_title(one) for one in shown)],
         rows,
-        _data(
-            comparison, {key: {m.name: found.get(m.name) for m in shown} for key, found in estimates.items()}
-        ),
+        _data(comparison, [one.name for one in shown]),
         comparison.files,
     )
 
@@ -80,30 +72,23 @@ def main_table(name: str, comparison: Comparison) -> Table:
 def all_measures_table(name: str, comparison: Comparison) -> Table:
     """Every measure that some method has: a row for each, and a column for each method."""
     estimates = comparison.estimates
-    measures = [
-        measure_of(one) for one in dict.fromkeys(one for found in estimates.values() for one in found)
-    ]
+    names = list(dict.fromkeys(one for found in estimates.values() for one in found))
     rows = [
         [
             Cell(measure_title(one)),
             Cell(one.meaning),
-            Cell({"higher": "higher", "lower": "lower"}.get(one.better or "", "")),
-            *(
-                estimate_cell(
-                    one, estimates[method.name].get(one.name), best=_is_best(one, method.name, estimates)
-                )
-                for method in comparison.methods
-            ),
+            Cell(one.better or ""),
+            *(_estimate(one, method.name, estimates) for method in comparison.methods),
         ]
-        for one in measures
+        for one in map(measure_of, names)
     ]
     return Table(
         f"{name}_all",
         f"{comparison.cases.title}: all measures",
-        " ".join(filter(None, (_intervals(comparison), vort_note(comparison)))),
+        _intervals(comparison),
         ["measure", "meaning", "better is", *(method.name for method in comparison.methods)],
         rows,
-        _data(comparison, estimates),
+        _data(comparison, names),
         comparison.files,
         heads=3,
     )
@@ -113,44 +98,38 @@ def paired_table(
     name: str, comparison: Comparison, pairs: Sequence[PairedComparison], *, further: bool = False
 ) -> Table:
     """Differences of each pair of methods on the same episodes, by measure, of the paper or `further`."""
-    rows = []
+    rows, data = [], []
     for one in pairs:
-        measure = one.measure
-        difference = [
-            format_difference(measure, value)
-            for value in (one.difference.value, one.difference.low, one.difference.high)
-        ]
-        known = not math.isnan(one.difference.value)
-        bounded = not math.isnan(one.difference.low)
+        difference = one.difference
+        value, low, high = (
+            format_difference(one.measure, end) for end in (difference.value, difference.low, difference.high)
+        )
         rows.append(
             [
-                Cell(measure_title(measure)),
+                Cell(measure_title(one.measure)),
                 Cell(f"{one.first} {MINUS} {one.second}"),
-                Cell(difference[0], f"{difference[1]} to {difference[2]}" if bounded else "")
-                if known
-                else Cell(NOTHING),
-                Cell(str(one.difference.count)),
+                Cell(value, "" if math.isnan(difference.low) else f"{low} to {high}"),
+                Cell(str(difference.count)),
                 Cell(format_p(one.p_value), _why_no_p(one)),
                 Cell(format_p(one.adjusted_p)),
-                Cell(format_effect(one.effect)),
+                Cell(NOTHING if math.isnan(one.effect) else f"{one.effect:.2f}".replace("-", MINUS)),
             ]
         )
-    data = [
-        {
-            "cases": comparison.cases.title,
-            "measure": one.measure.name,
-            "first": one.first,
-            "second": one.second,
-            "difference": one.difference.value,
-            "low": one.difference.low,
-            "high": one.difference.high,
-            "pairs": one.difference.count,
-            "p": one.p_value,
-            "p_holm": one.adjusted_p,
-            "effect": one.effect,
-        }
-        for one in pairs
-    ]
+        data.append(
+            {
+                "cases": comparison.cases.title,
+                "measure": one.measure.name,
+                "first": one.first,
+                "second": one.second,
+                "difference": difference.value,
+                "low": difference.low,
+                "high": difference.high,
+                "pairs": difference.count,
+                "p": one.p_value,
+                "p_holm": one.adjusted_p,
+                "effect": one.effect,
+            }
+        )
     caption = (
         "Differences with paired 95 % intervals; p of the exact McNemar test for shares and of a "
         "permutation test for the rest, and by Holm's method over all pairs of one measure; effect: for "
@@ -181,32 +160,31 @@ def overview_table(comparisons: Sequence[Comparison], measure: str) -> Table:
     """One measure of all methods on all cases: a row for each method, a column for each set of cases."""
     one = measure_of(measure)
     methods = list(dict.fromkeys(method.name for each in comparisons for method in each.methods))
-    rows = [
-        [Cell(name), *(estimate_cell(one, each.estimates.get(name, {}).get(measure)) for each in comparisons)]
-        for name in methods
+    counts = [
+        f"{each.cases.title}: {format_range([method.episodes for method in each.methods])} episodes"
+        for each in comparisons
     ]
-    data: list[Mapping[str, object]] = []
-    for each in comparisons:
-        data += _data(each, {name: {measure: found.get(measure)} for name, found in each.estimates.items()})
     return Table(
         f"overview_{measure}",
         f"{measure_title(one)} of every method on all cases",
-        f"{one.meaning.capitalize()}; {', '.join(_episodes(each) for each in comparisons)}. "
-        "95 % intervals. A dash: not measured.",
+        f"{one.meaning.capitalize()}; {', '.join(counts)}. 95 % intervals. A dash: not measured.",
         ["method", *(each.cases.title for each in comparisons)],
-        rows,
-        data,
-        list(dict.fromkeys(file for each in comparisons for file in each.files)),
+        [
+            [
+                Cell(name),
+                *(estimate_cell(one, each.estimates.get(name, {}).get(measure)) for each in comparisons),
+            ]
+            for name in methods
+        ],
+        [line for each in comparisons for line in _data(each, [measure])],
+        files_of(comparisons),
     )
 
 
 def endings_table(comparisons: Sequence[Comparison]) -> Table:
     """How the episodes of each method ended, in numbers: with success, or with which failures."""
-    kinds = {
-        "success": "success",
-        "collisions": COLLISION.name,
-        **{key: one.name for key, one in FAILURES.items()},
-    }
+    kinds = {"success": "success", "collisions": COLLISION.name}
+    kinds |= {key: one.name for key, one in FAILURES.items()}
     data: list[Mapping[str, object]] = []
     for one in comparisons:
         for method in one.methods:
@@ -215,8 +193,7 @@ def endings_table(comparisons: Sequence[Comparison]) -> Table:
                 for metric, name in kinds.items()
             }
             data.append({"cases": one.cases.title, "method": method.name, "of": len(method.rows), **counts})
-    shown = [name for name in kinds.values() if any(row[name] for row in data)]
-    header = ["cases", "method", *shown, "of"]
+    header = ["cases", "method", *(name for name in kinds.values() if any(row[name] for row in data)), "of"]
     return Table(
         "endings",
         "How episodes ended",
@@ -224,30 +201,20 @@ def endings_table(comparisons: Sequence[Comparison]) -> Table:
         header,
         [[Cell(str(row[name])) for name in header] for row in data],
         data,
-        list(dict.fromkeys(file for one in comparisons for file in one.files)),
+        files_of(comparisons),
         heads=2,
     )
 
 
-def vort_note(comparison: Comparison) -> str:
-    """From which tilt on ground counts as uneven."""
-    if not comparison.thresholds:
-        return ""
-    return (
-        f"VORT: ground is uneven above a tilt of {' or '.join(f'{one:g}°' for one in comparison.thresholds)}."
-    )
-
-
 def _intervals(comparison: Comparison) -> str:
+    """What the intervals are over, and from which tilt on ground counts as uneven."""
     if comparison.sites:
-        return f"In brackets: 95 % intervals, over {comparison.sites} whole sites."
-    several = any(method.agents > 1 for method in comparison.methods)
-    return "In brackets: 95 % intervals" + (", over whole episodes." if several else ".")
-
-
-def _episodes(comparison: Comparison) -> str:
-    counts = [method.episodes for method in comparison.methods]
-    return f"{comparison.cases.title}: {format_range(counts)} episodes"
+        over = f", over {comparison.sites} whole sites"
+    else:
+        over = ", over whole episodes" if any(method.agents > 1 for method in comparison.methods) else ""
+    text = f"In brackets: 95 % intervals{over}."
+    tilts = " or ".join(f"{one:g}°" for one in comparison.thresholds)
+    return f"{text} VORT: ground is uneven above a tilt of {tilts}." if tilts else text
 
 
 def _why_no_p(one: PairedComparison) -> str:
@@ -257,29 +224,21 @@ def _why_no_p(one: PairedComparison) -> str:
     return "no pairs" if one.measure.per is None else "ratio by 0"
 
 
-def _count(episodes: int, agents: int) -> str:
-    return f"{episodes}" if agents == 1 else f"{episodes}, {agents} agents each"
+def _estimate(measure: Measure, method: str, estimates: Mapping[str, Mapping[str, Estimate]]) -> Cell:
+    """The cell of a method, marked if it is the best one."""
+    values = {name: found[measure.name].value for name, found in estimates.items() if measure.name in found}
+    values = {name: value for name, value in values.items() if not math.isnan(value)}
+    best = False
+    if measure.better is not None and len(values) > 1 and method in values:
+        shown = {name: format_value(measure, value) for name, value in values.items()}
+        first = (max if measure.better == "higher" else min)(values, key=lambda name: values[name])
+        # What reads the same is equally good; if all do, none is the best.
+        best = shown[method] == shown[first] and len(set(shown.values())) > 1
+    return estimate_cell(measure, estimates[method].get(measure.name), best=best)
 
 
-def _is_best(measure: Measure, method: str, estimates: Estimates) -> bool:
-    if measure.better is None or len(estimates) < 2:
-        return False
-    values = {
-        name: found[measure.name].value
-        for name, found in estimates.items()
-        if measure.name in found and not math.isnan(found[measure.name].value)
-    }
-    if len(values) < 2 or method not in values:
-        return False
-    shown = {name: format_value(measure, value) for name, value in values.items()}
-    best = (max if measure.better == "higher" else min)(values, key=lambda name: values[name])
-    # What reads the same is equally good; if all do, none is the best.
-    return shown[method] == shown[best] and len(set(shown.values())) > 1
-
-
-def _data(
-    comparison: Comparison, estimates: Mapping[str, Mapping[str, Estimate | None]]
-) -> list[Mapping[str, object]]:
+def _data(comparison: Comparison, measures: Sequence[str]) -> list[Mapping[str, object]]:
+    """A line for each method and measure that it has."""
     return [
         {
             "cases": comparison.cases.title,
@@ -291,7 +250,7 @@ def _data(
             "high": estimate.high,
             "count": estimate.count,
         }
-        for method, found in estimates.items()
+        for method, found in comparison.estimates.items()
         for name, estimate in found.items()
-        if estimate is not None
+        if name in measures
     ]

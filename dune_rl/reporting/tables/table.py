@@ -8,8 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from dune_rl.metrics.catalogue import Measure
-from dune_rl.metrics.number_text import MINUS, NOTHING, format_value
+from dune_rl.metrics.catalogue import MINUS, NOTHING, Measure, format_value
 from dune_rl.statistics.intervals import Estimate
 
 _LATEX = {
@@ -138,14 +137,22 @@ def escape_markdown(text: str) -> str:
     return _MARKDOWN.sub(lambda found: "\\" + found[0], " ".join(text.split()))
 
 
+def text_table(
+    name: str, title: str, caption: str, data: Sequence[Mapping[str, object]], sources: Sequence[Path]
+) -> Table:
+    """A table of words; columns in which no row has any are left out."""
+    # Long lists have their place in the CSV alone.
+    shown = [
+        key for key in data[0] if key != "methods" and any(row[key] not in ("", NOTHING) for row in data)
+    ]
+    rows = [[Cell(str(row[key])) for key in shown] for row in data]
+    return Table(name, title, caption, shown, rows, data, sources, heads=len(shown))
+
+
 def estimate_cell(
-    measure: Measure,
-    estimate: Estimate | None,
-    *,
-    best: bool = False,
-    unit: str = "",
+    measure: Measure, estimate: Estimate | None, *, best: bool = False, unit: str = "",
     decimals: int | None = None,
-) -> Cell:
+) -> Cell:  # fmt: skip
     """A value with its interval; `unit` is put behind it, and `decimals` are the measure's by default."""
     if estimate is None or math.isnan(estimate.value):
         return Cell(NOTHING)

@@ -1,4 +1,4 @@
-"""An episode of one scene under a policy, rendered from behind one of its agents."""
+"""An episode of one scene under a policy, and its files: contact sheet, video, picture of the world."""
 
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -6,11 +6,15 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from torchrl.envs import EnvBase
 
 from dune_rl.config.build import make_torchrl_env
 from dune_rl.config.commands import ViewConf
 from dune_rl.core.errors import ConfigError
+from dune_rl.core.files import write_atomically
 from dune_rl.core.suggestions import advise
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.pictures import Pictures
@@ -18,10 +22,14 @@ from dune_rl.env.simulation import VectorSimulation
 from dune_rl.learning.group_policy import Policy
 from dune_rl.learning.policies import built_in_policy
 from dune_rl.learning.saved_policies import load_policy
-from dune_rl.reporting.views.tracks import EndingRecorder
+from dune_rl.reporting.views.tracks import TrackRecorder
 from dune_rl.sensors.settings import SensorSettings
+from dune_rl.visualization.contact_sheet import contact_sheet
+from dune_rl.visualization.video import draw_overlays, open_video
 
 Picture = NDArray[np.uint8]
+# The last picture of a video stays this long.
+_LAST_PICTURE_S = 1.5
 
 
 def find_agent(simulation: VectorSimulation, name: str | None) -> tuple[AgentGroup, int]:
@@ -33,8 +41,7 @@ def find_agent(simulation: VectorSimulation, name: str | None) -> tuple[AgentGro
         return simulation.group(), 0
     names = [agent for group in simulation.groups for agent in group.names]
     if name not in names:
-        remedy = advise(name, names)
-        raise ConfigError(f"agent: there is no agent {name!r}; {remedy}")
+        raise ConfigError(f"agent: there is no agent {name!r}; {advise(name, names)}")
     group = next(group for group in simulation.groups if name in group.names)
     return group, group.names.index(name)
 
@@ -54,18 +61,18 @@ class EpisodeView:
             raise
         self.agent = self.group.names[self._row]
         self._pictures = Pictures(self.simulation)
-        self._endings = EndingRecorder(self.simulation)
+        self._recorder = TrackRecorder(self.simulation)
 
     def run(self) -> Iterator[bool]:
         """Run one episode; yields whether it has ended, at its start and after each step."""
         self.simulation.reseed(self.conf.seed)
         policy = self._make_policy()
         observation = self._env.reset()
-        self._endings.reset(0)
+        self._recorder.reset(0)
         yield False
         while True:
             observation = self._env.step(policy(observation))["next"]
-            self._endings.update()
+            self._recorder.update()
             done = bool(observation["done"])
             yield done
             if done:
@@ -109,7 +116,7 @@ class EpisodeView:
 
     def ending(self) -> str:
         """How the agent's episode ended; empty while it goes on."""
-        return self._endings.ending(self.group.name, self._row) or ""
+        return self._recorder.ending(self.group.name, self._row) or ""
 
     def close(self) -> None:
         """Release the physics engine."""
@@ -129,3 +136,65 @@ def policy_factory(conf: ViewConf, env: EnvBase) -> Callable[[], Policy]:
         trained, _ = load_policy(Path(conf.checkpoint), env, allow_more=True)
         return lambda: trained
     return lambda: built_in_policy(conf.policy or "go_to_goal", env, conf.seed)
+
+
+def write_orbit(view: EpisodeView, path: Path) -> Path:
+    """A picture of the whole world (PNG)."""
+    picture = view.render_world()
+    with write_atomically(path) as temporary:
+        Image.fromarray(picture).save(temporary, format="png")
+    return path
+
+
+def write_sheet(view: EpisodeView, path: Path) -> Path:
+    """The readings of all sensors at one instant of an episode (PNG)."""
+    conf = view.conf
+    last = round(conf.after_s * conf.physics.control_hz)
+    steps = 0
+    for steps, _ in enumerate(view.run()):
+        if steps >= last:
+            break
+    title = f"{conf.world.name}, seed {conf.seed}, {steps / conf.physics.control_hz:.1f} s into the episode"
+    if len(view.simulation.agents) > 1:
+        title += f", {view.agent}"
+    picture = view.render_from_behind(1280, 960, turns_for_agents=True)
+    figure = contact_sheet(view.readings(), view.sensors, picture, title)
+    with write_atomically(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=110, facecolor=figure.get_facecolor())
+    return path
+
+
+def write_video(
+    view: EpisodeView,
+    path: Path,
+    console: Console,
+    also: Callable[[Picture], None] = lambda picture: None,
+) -> Path:
+    """A video of an episode (MP4); `also` is called with each of its pictures, RGB (height, width, 3)."""
+    conf = view.conf
+    every = max(1, round(conf.physics.control_hz / conf.frames_per_s))
+    rate = conf.physics.control_hz / every
+    longest = round(conf.longest_s * conf.physics.control_hz)
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.fields[state]}  at most"),
+        TimeRemainingColumn(),
+    )
+    bar = Progress(*columns, console=console, disable=not console.is_terminal, transient=True)
+    with open_video(path, rate, conf.width, conf.height) as add_frame, bar:
+        task = bar.add_task("rendering", total=longest, state="")
+        for steps, done in enumerate(view.run()):
+            if steps % every and not done:
+                continue
+            lines = view.status(steps)
+            frame = view.render_from_behind(conf.width, conf.height)
+            picture = draw_overlays(frame, view.readings(), view.sensors.get("lidar"), lines, view.ending())
+            add_frame(picture)
+            also(picture)
+            bar.update(task, completed=steps, state=lines[0])
+            if done or steps >= longest:
+                for _ in range(round(_LAST_PICTURE_S * rate)):
+                    add_frame(picture)
+                break
+    return path

@@ -1,8 +1,8 @@
 """Pictures of the evaluations during training: tracks of episodes on the maps of their worlds."""
 
-from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,6 +14,7 @@ from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 
 from dune_rl.env.agent_group import AgentGroup
+from dune_rl.reporting.views.maps import goal_distance_m
 from dune_rl.reporting.views.tracks import TrackRecorder
 from dune_rl.tasks.spawn import Placement
 from dune_rl.visualization.site_map import colours
@@ -32,7 +33,7 @@ from dune_rl.worlds.world import Rectangle, World
 Picture = NDArray[np.uint8]
 _DPI = 100
 _SIDE_IN, _SMALL_SIDE_IN = 6.0, 3.8
-_LEGEND_IN, _GAP_IN = 0.55, 0.45
+_LEGEND_IN, _TITLE_IN = 0.55, 0.45
 # Round the region of starts and goals, relative to its side.
 _MARGIN = 0.15
 _KEPT_GROUNDS = 8
@@ -48,7 +49,7 @@ class _Episode:
 
 
 class EvaluationTracks:
-    """Observes evaluations in `env`, and draws the tracks of their first `episodes`.
+    """Observes evaluations in `env`, and draws the tracks of their first `episodes`: an `EpisodeObserver`.
 
     Episodes in the same world share a map; where worlds differ there is a map for each of them. The grounds
     of the maps are kept, since a picture is drawn at every evaluation.
@@ -60,9 +61,7 @@ class EvaluationTracks:
         self._recorder: TrackRecorder | None = None
         self._placements: dict[int, list[Placement]] = {}
         self._seen: dict[int, _Episode] = {}
-        self._grounds: OrderedDict[int, _Ground] = OrderedDict()
-
-    # -- an EpisodeObserver -----------------------------------------------------------------------------
+        self._ground = lru_cache(_KEPT_GROUNDS)(self._draw_ground)
 
     def begin(self) -> None:
         """Begin the tracks of the scenes that have made no step."""
@@ -106,43 +105,33 @@ class EvaluationTracks:
     def _measured(self) -> list[AgentGroup]:
         return [group for group in self._simulation.external if group.task is not None]
 
-    # -- drawing --------------------------------------------------------------------------------------
-
     def draw(self) -> Picture:
         """RGB (height, width, 3) of the tracks of the last evaluation."""
-        by_world: dict[int, list[int]] = {}
+        by_world: dict[World, list[int]] = {}
         for episode in sorted(self._seen):
-            by_world.setdefault(id(self._seen[episode].world), []).append(episode)
-        panels = list(by_world.values())
-        columns = 1 if len(panels) == 1 else 2 if len(panels) < 5 else 3
-        rows = -(-len(panels) // columns)
+            by_world.setdefault(self._seen[episode].world, []).append(episode)
+        columns = 1 if len(by_world) == 1 else 2 if len(by_world) < 5 else 3
+        rows = -(-len(by_world) // columns)
         side = _SIDE_IN if columns == 1 else _SMALL_SIDE_IN
-        width = columns * side + (columns - 1) * 0.1
-        height = rows * (side + _GAP_IN) + _LEGEND_IN
-        figure = Figure(figsize=(width, height), dpi=_DPI)
-        canvas = FigureCanvasAgg(figure)
-        for number, episodes in enumerate(panels):
-            row, column = divmod(number, columns)
-            left = column * (side + 0.1) / width
-            bottom = (_LEGEND_IN + (rows - 1 - row) * (side + _GAP_IN)) / height
-            axes = figure.add_axes((left, bottom, side / width, side / height))
-            self._draw_panel(axes, episodes, side)
+        figure = Figure((columns * side, rows * (side + _TITLE_IN) + _LEGEND_IN), _DPI, layout="constrained")
+        panels = figure.subplots(rows, columns, squeeze=False).reshape(-1)
+        for axes in panels:
+            axes.set_axis_off()
+        for axes, (world, episodes) in zip(panels, by_world.items(), strict=False):
+            self._draw_panel(axes, world, episodes, side)
         _add_legend(figure, [track for seen in self._seen.values() for track in seen.tracks])
-        canvas.draw()
-        return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+        return _render(figure)
 
-    def _draw_panel(self, axes: Axes, episodes: Sequence[int], side_in: float) -> None:
-        seen = [self._seen[episode] for episode in episodes]
-        tracks = [track for each in seen for track in each.tracks]
-        ground = self._ground(seen[0].world, side_in)
+    def _draw_panel(self, axes: Axes, world: World, episodes: Sequence[int], side_in: float) -> None:
+        tracks = [track for episode in episodes for track in self._seen[episode].tracks]
+        picture, rectangle, content = self._ground(world, side_in)
         placements = {episode: self._seen[episode].placements for episode in episodes}
-        content = replace(ground.content, episodes=placements, tracks=tracks)
-        axes.set_axis_off()
-        axes.imshow(ground.picture, extent=ground.rectangle, interpolation="nearest")
+        content = replace(content, episodes=placements, tracks=tracks)
+        axes.imshow(picture, extent=rectangle)
         draw_tracks(axes, tracks, 1.8, marks=True)
-        draw_episodes(axes, content, side_in / (ground.rectangle[1] - ground.rectangle[0]), joined=False)
-        axes.set_xlim(ground.rectangle[:2])
-        axes.set_ylim(ground.rectangle[2:])
+        draw_episodes(axes, content, side_in / (rectangle[1] - rectangle[0]), joined=False)
+        axes.set_xlim(rectangle[:2])
+        axes.set_ylim(rectangle[2:])
         reached = sum((track.ending or "").startswith("goal reached") for track in tracks)
         ended = sum(track.ending is not None for track in tracks)
         named = ", ".join(str(episode) for episode in episodes)
@@ -151,60 +140,43 @@ class EvaluationTracks:
             x=0.01, fontsize=9, color=colours.INK, loc="left",
         )  # fmt: skip
 
-    def _ground(self, world: World, side_in: float) -> "_Ground":
-        found = self._grounds.get(id(world))
-        if found is None:
-            found = _draw_ground_of(world, self._measured[0], side_in)
-            self._grounds[id(world)] = found
-            while len(self._grounds) > _KEPT_GROUNDS:
-                self._grounds.popitem(last=False)
-        return found
+    def _draw_ground(self, world: World, side_in: float) -> tuple[Picture, Rectangle, MapContent]:
+        """The picture of the region without episodes, rows from north to south, and where it is."""
+        group = self._measured[0]
+        assert group.setup.task is not None
+        content = MapContent(
+            world=world,
+            spawner=group.spawners.of(world),
+            max_slope_deg=group.setup.task.spawn.max_slope_deg,
+            goal_distance_m=goal_distance_m(group),
+            footprints=prop_footprints(world, len(colours.OBSTACLES)),
+        )
+        xmin, xmax, ymin, ymax = content.spawner.region
+        half = (0.5 + _MARGIN) * max(xmax - xmin, ymax - ymin)
+        x, y = (xmin + xmax) / 2, (ymin + ymax) / 2
+        rectangle = (x - half, x + half, y - half, y + half)
+        figure = Figure((side_in, side_in), _DPI)
+        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        axes.set_axis_off()
+        draw_ground(axes, content, rectangle, (side_in, side_in), _DPI)
+        draw_props(axes, content.footprints, obstacle_tints(content.footprints))
+        draw_region(axes, content.spawner.region, 1.5)
+        return _render(figure), rectangle, content
 
 
-@dataclass(frozen=True, eq=False)
-class _Ground:
-    """The picture of a rectangle of a world without episodes, rows from north to south."""
-
-    picture: Picture
-    rectangle: Rectangle
-    content: MapContent
-
-
-def _draw_ground_of(world: World, group: AgentGroup, side_in: float) -> _Ground:
-    assert group.setup.task is not None
-    terminations = group.setup.task.terminations.values()
-    content = MapContent(
-        world=world,
-        spawner=group.spawners.of(world),
-        max_slope_deg=group.setup.task.spawn.max_slope_deg,
-        goal_distance_m=next(
-            (float(each.distance_m) for each in terminations if hasattr(each, "distance_m")), 0.0
-        ),
-        footprints=prop_footprints(world, len(colours.OBSTACLES)),
-    )
-    xmin, xmax, ymin, ymax = content.spawner.region
-    margin = _MARGIN * max(xmax - xmin, ymax - ymin)
-    centre, half = ((xmin + xmax) / 2, (ymin + ymax) / 2), max(xmax - xmin, ymax - ymin) / 2 + margin
-    rectangle = (centre[0] - half, centre[0] + half, centre[1] - half, centre[1] + half)
-    figure = Figure(figsize=(side_in, side_in), dpi=_DPI)
+def _render(figure: Figure) -> Picture:
     canvas = FigureCanvasAgg(figure)
-    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-    axes.set_axis_off()
-    draw_ground(axes, content, rectangle, (side_in, side_in), _DPI)
-    draw_props(axes, content.footprints, obstacle_tints(content.footprints))
-    draw_region(axes, content.spawner.region, 1.5)
     canvas.draw()
-    return _Ground(np.asarray(canvas.buffer_rgba())[..., :3].copy(), rectangle, content)
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
 def _add_legend(figure: Figure, tracks: Sequence[Track]) -> None:
-    endings = list(dict.fromkeys(track.ending for track in tracks if track.ending is not None))
     handles = [
         Line2D([], [], color=colour, marker=mark, markeredgecolor=colours.PAPER, label=ending)
-        for ending in endings
+        for ending in dict.fromkeys(track.ending for track in tracks if track.ending is not None)
         for colour, mark in [colours.ending_style(ending)]
     ]
     if any(track.ending is None for track in tracks):
         handles.append(Line2D([], [], color=colours.FAINT, linewidth=0.9, label="walkers"))
     if handles:
-        figure.legend(handles=handles, loc="lower center", ncols=3, frameon=False, fontsize=8)
+        figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=8)

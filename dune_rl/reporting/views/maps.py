@@ -22,7 +22,7 @@ from dune_rl.physics.interface import scene_maker
 from dune_rl.reporting.views.episode import SENSORS_OF_POLICIES, policy_factory
 from dune_rl.reporting.views.tracks import TrackRecorder
 from dune_rl.sensors.conf import parse_sensors
-from dune_rl.tasks.spawn import SpawnConf
+from dune_rl.tasks.spawn import Placement, SpawnConf
 from dune_rl.visualization.site_map.colours import OBSTACLES, PATHS
 from dune_rl.visualization.site_map.figure import draw_site_map
 from dune_rl.visualization.site_map.layers import choose_spread_episodes, prop_footprints
@@ -47,35 +47,31 @@ def map_content(conf: ViewConf, tracks: list[Track]) -> MapContent:
     """Content of the map: the episodes of `tracks`, or else examples with distant starts and goals."""
     setups = group_setups(conf)
     world = build_world(conf.world)
-    scenes = SceneManager(
-        world,
-        conf.weather,
-        DomainRandomizer.none(world, conf.weather),
-        scene_maker(conf.physics.backend),
-        conf.physics,
-        num_scenes=1,
-    )
+    nothing_drawn, engine = DomainRandomizer.none(world, conf.weather), scene_maker(conf.physics.backend)
+    scenes = SceneManager(world, conf.weather, nothing_drawn, engine, conf.physics, num_scenes=1)
     groups = build_groups(setups, scenes)
     EpisodeStarter(groups, scenes).check(conf.seed, world, sets_starts=True)
-    viewed = _viewed_group(groups, conf.agent)
+    # The group whose region and free space the map shows: by default the first external one.
+    viewed = next((group for group in groups if conf.agent in group.names), None) or next(
+        (group for group in groups if group.is_external), groups[0]
+    )
     spawner = viewed.spawners.of(world)
+
+    def place_robots(episode: int) -> list[Placement]:
+        return draw_starts(groups, world, conf.seed, episode)
+
     if tracks:
-        episodes = {
-            episode: draw_starts(groups, world, conf.seed, episode)
-            for episode in sorted({track.episode for track in tracks})
-        }
+        episodes = {number: place_robots(number) for number in sorted({track.episode for track in tracks})}
     else:
         xmin, xmax, ymin, ymax = spawner.region
-        episodes = choose_spread_episodes(
-            lambda episode: draw_starts(groups, world, conf.seed, episode),
-            conf.episodes,
-            _APART * max(xmax - xmin, ymax - ymin),
-        )
+        apart_m = _APART * max(xmax - xmin, ymax - ymin)
+        episodes = choose_spread_episodes(place_robots, conf.episodes, apart_m)
+    spawn = SpawnConf() if viewed.setup.task is None else viewed.setup.task.spawn
     return MapContent(
         world=world,
         spawner=spawner,
-        max_slope_deg=_spawn_conf(viewed).max_slope_deg,
-        goal_distance_m=_goal_distance_m(viewed),
+        max_slope_deg=spawn.max_slope_deg,
+        goal_distance_m=goal_distance_m(viewed),
         footprints=prop_footprints(world, len(OBSTACLES)),
         paths=_example_paths(groups),
         episodes=episodes,
@@ -83,22 +79,11 @@ def map_content(conf: ViewConf, tracks: list[Track]) -> MapContent:
     )
 
 
-def _viewed_group(groups: tuple[AgentGroup, ...], agent: str | None) -> AgentGroup:
-    """The group of `agent`, whose region and free space the map shows; by default the first external one."""
-    own = next((group for group in groups if agent in group.names), None)
-    return own or next((group for group in groups if group.is_external), groups[0])
-
-
-def _spawn_conf(group: AgentGroup) -> SpawnConf:
-    return SpawnConf() if group.setup.task is None else group.setup.task.spawn
-
-
-def _goal_distance_m(group: AgentGroup) -> float:
+def goal_distance_m(group: AgentGroup) -> float:
     """Distance at which a goal counts as reached [m]; 0 where none does."""
     terminations = {} if group.setup.task is None else group.setup.task.terminations
-    return next(
-        (float(each.distance_m) for each in terminations.values() if hasattr(each, "distance_m")), 0.0
-    )
+    distances = (each.distance_m for each in terminations.values() if hasattr(each, "distance_m"))
+    return float(next(distances, 0.0))
 
 
 def _example_paths(groups: tuple[AgentGroup, ...]) -> list[Array]:

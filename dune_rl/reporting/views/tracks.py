@@ -1,4 +1,4 @@
-"""Records the tracks of all agents, while they are there."""
+"""Records the tracks of all agents, while they are there, and how their episodes ended."""
 
 import numpy as np
 
@@ -25,42 +25,12 @@ def describe_ending(group: GroupState, row: int) -> str:
         return "physics diverged"
     names = [name for name, flags in group.endings.items() if flags[row]]
     # If several apply, the first of `_ENDINGS` is shown.
-    known = [name for name in _ENDINGS if name in names]
-    name = next(iter([*known, *names]), None)
+    name = next((name for name in (*_ENDINGS, *names) if name in names), None)
     if name is None:
         return _CUT_SHORT
     if name == "goal_reached" and group.contacts.total[row]:
         return "goal reached, after a collision"
     return _ENDINGS.get(name, name.replace("_", " "))
-
-
-class EndingRecorder:
-    """Records how each agent's episode ended: call `reset` at its start and `update` after every step."""
-
-    def __init__(self, simulation: VectorSimulation) -> None:
-        self._simulation = simulation
-        self._endings: dict[str, list[str | None]] = {
-            group.name: [None] * (simulation.num_scenes * group.count) for group in simulation.groups
-        }
-
-    def reset(self, scene: int) -> None:
-        """Clear the endings of a scene's agents."""
-        for group in self._simulation.groups:
-            for row in range(scene * group.count, (scene + 1) * group.count):
-                self._endings[group.name][row] = None
-
-    def update(self) -> None:
-        """Record the agents that are done for the first time after this step."""
-        for group in self._simulation.groups:
-            endings = self._endings[group.name]
-            done = group.done if group.absent is None else group.done & ~group.absent
-            for row in np.flatnonzero(done).tolist():
-                if endings[row] is None:
-                    endings[row] = describe_ending(self._simulation.state.groups[group.name], row)
-
-    def ending(self, group: str, row: int) -> str | None:
-        """How the episode of an agent ended; None while it goes on."""
-        return self._endings[group][row]
 
 
 def finite_points(points: list[Array]) -> Array:
@@ -70,29 +40,37 @@ def finite_points(points: list[Array]) -> Array:
 
 
 class TrackRecorder:
-    """Positions of all agents from the start of their episodes."""
+    """Positions of all agents from the start of their episodes, and how each episode ended."""
 
     def __init__(self, simulation: VectorSimulation) -> None:
         self._simulation = simulation
-        self._endings = EndingRecorder(simulation)
+        self._endings: dict[tuple[str, int], str] = {}
         self._points: dict[tuple[str, int], list[Array]] = {}
         for scene in range(simulation.num_scenes):
             self.reset(scene)
 
     def reset(self, scene: int) -> None:
         """Begin new tracks in a scene, at the agents' present positions."""
-        self._endings.reset(scene)
         for group in self._simulation.groups:
             places = _places(group)
             for row in range(scene * group.count, (scene + 1) * group.count):
+                self._endings.pop((group.name, row), None)
                 self._points[group.name, row] = [places[row]]
 
     def update(self) -> None:
-        """Add the agents' positions after a step; call it before scenes are reset."""
-        self._endings.update()
+        """Add the agents' positions after a step, and new endings; call it before scenes are reset."""
         for group in self._simulation.groups:
+            done = group.done if group.absent is None else group.done & ~group.absent
+            for row in np.flatnonzero(done).tolist():
+                if (group.name, row) not in self._endings:
+                    state = self._simulation.state.groups[group.name]
+                    self._endings[group.name, row] = describe_ending(state, row)
             for row, position in enumerate(_places(group)):
                 self._points[group.name, row].append(position)
+
+    def ending(self, group: str, row: int) -> str | None:
+        """How the episode of an agent ended; None while it goes on."""
+        return self._endings.get((group, row))
 
     def tracks(self, scene: int) -> list[Track]:
         """The tracks of a scene's agents."""
@@ -101,11 +79,11 @@ class TrackRecorder:
             Track(
                 name,
                 episode,
-                finite_points(self._points[group.name, scene * group.count + agent]),
-                self._endings.ending(group.name, scene * group.count + agent) if group.is_external else None,
+                finite_points(self._points[group.name, row]),
+                self.ending(group.name, row) if group.is_external else None,
             )
             for group in self._simulation.groups
-            for agent, name in enumerate(group.names)
+            for row, name in enumerate(group.names, scene * group.count)
         ]
 
 

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -44,77 +45,60 @@ def slope_legend(max_slope_deg: float) -> Section:
 
 def prop_legend(world: World, footprints: Sequence[PropFootprints], tints: dict[str, str]) -> Section:
     """Section of the kinds of props; `tints` has the colours of obstacles."""
-    entries: list[tuple[Swatch, str]] = []
-    for each in footprints:
-        fill = colours.DRIVABLE if each.drivable else tints[each.kind]
-        entries.append((_filled_box(fill), f"{each.kind}, drivable" if each.drivable else each.kind))
+    fills = [
+        (colours.DRIVABLE, f"{each.kind}, drivable") if each.drivable else (tints[each.kind], each.kind)
+        for each in footprints
+    ]
     if water_props(world):
-        entries.append((_filled_box(colours.WATER), "water"))
+        fills.append((colours.WATER, "water"))
     if vegetation_props(world):
-        entries.append((_filled_box("#b0d0b0"), "leaves, no obstacle"))
+        fills.append(("#b0d0b0", "leaves, no obstacle"))
     if world.grass is not None:
-        entries.append((_filled_box("#cbdf9c"), "tall grass"))
-    return "objects" if entries else "no objects", entries
+        fills.append(("#cbdf9c", "tall grass"))
+    return "objects" if fills else "no objects", [(_filled_box(fill), text) for fill, text in fills]
 
 
 def episode_legend(content: MapContent) -> Section:
     """Section of starts, goals, paths and tracks, with the number of tracks by ending."""
-    several = any(len(placements) > 1 for placements in content.episodes.values())
-    entries: list[tuple[Swatch, str]] = [
-        (_box(fill=False, edgecolor=colours.SPAWN_EDGE, linewidth=1.5), "region of starts and goals"),
-        *_candidate_entries(content),
-        (_striped_box("#d9eff4", "#8fcfe0"), "positions they are drawn from"),
-        *_passage_entries(content),
-        (
-            _numbered_disc(colours.INK, colours.PAPER),
-            f"start: episode{', robot a, b, ...' if several else ''}",
-        ),
-        (_numbered_disc(colours.PAPER, colours.INK), "goal, with the radius that counts"),
-    ]
-    if content.paths:
-        tints = colours.PATHS if not content.tracks else (colours.FAINT,)
-        entries.append((_dashed_line(tints), "some paths of walkers"))
-    ended = [track.ending for track in content.tracks if track.ending is not None]
-    if len(ended) < len(content.tracks):
-        entries.append((_plain_line(colours.FAINT), "tracks of other agents"))
-    counts = Counter(ended)
-    listed = [ending for ending in colours.ENDINGS if counts[ending]]
-    for ending in [*listed, *sorted(ending for ending in counts if ending not in colours.ENDINGS)]:
-        entries.append((_track(*colours.ending_style(ending)), f"{ending}: {counts[ending]} of {len(ended)}"))
-    return "episodes", entries
-
-
-def _passage_entries(content: MapContent) -> list[tuple[Swatch, str]]:
-    """An entry of the positions below objects, if there are any."""
-    spawner = content.spawner
-    ground = GroundGrid.sample(content.world.terrain, spawner.region, _PASSAGE_CELLS, _PASSAGE_CELLS)
-    if not spawn_mask_below_props(spawner, content.world, ground).any():
-        return []
-    return [(_striped_box(colours.OBSTACLES[0], colours.PASSAGE), "the same, below an object")]
-
-
-def _candidate_entries(content: MapContent) -> list[tuple[Swatch, str]]:
-    """An entry of the regions that could be chosen instead, if there are any."""
+    spawner, edge = content.spawner, colours.SPAWN_EDGE
+    region = partial(_draw_box, fill=False, edgecolor=edge, linewidth=1.5)
+    entries: list[tuple[Swatch, str]] = [(region, "region of starts and goals")]
     others = [
         f"{number}"
         for number, each in enumerate(content.world.region_candidates, start=1)
-        if each.rectangle != content.spawner.region
+        if each.rectangle != spawner.region
     ]
-    if not others:
-        return []
-    dashed = _box(fill=False, edgecolor=colours.SPAWN_EDGE, linewidth=1.2, linestyle=(0, (3, 1.5)))
-    return [(dashed, f"others to choose: world.region={', '.join(others)}")]
+    if others:
+        dashed = partial(_draw_box, fill=False, edgecolor=edge, linewidth=1.2, linestyle=(0, (3, 1.5)))
+        entries.append((dashed, f"others to choose: world.region={', '.join(others)}"))
+    entries.append((_striped_box("#d9eff4", "#8fcfe0"), "positions they are drawn from"))
+    ground = GroundGrid.sample(content.world.terrain, spawner.region, _PASSAGE_CELLS, _PASSAGE_CELLS)
+    if spawn_mask_below_props(spawner, content.world, ground).any():
+        entries.append((_striped_box(colours.OBSTACLES[0], colours.PASSAGE), "the same, below an object"))
+    several = any(len(placements) > 1 for placements in content.episodes.values())
+    start, goal = (partial(_draw_disc, face=face) for face in (colours.INK, colours.PAPER))
+    entries.append((start, f"start: episode{', robot a, b, ...' if several else ''}"))
+    entries.append((goal, "goal, with the radius that counts"))
+    if content.paths:
+        tints = colours.PATHS if not content.tracks else (colours.FAINT,) * 4
+        entries.append((partial(_draw_dashes, tints=tints), "some paths of walkers"))
+    ended = [track.ending for track in content.tracks if track.ending is not None]
+    if len(ended) < len(content.tracks):
+        entries.append((partial(_draw_line, color=colours.FAINT, linewidth=1.0), "tracks of other agents"))
+    counts = Counter(ended)
+    listed = [ending for ending in colours.ENDINGS if counts[ending]]
+    for ending in [*listed, *sorted(ending for ending in counts if ending not in colours.ENDINGS)]:
+        track = partial(_draw_track, ending=ending)
+        entries.append((track, f"{ending}: {counts[ending]} of {len(ended)}"))
+    return "episodes", entries
 
 
-def _box(**style: Any) -> Swatch:
-    def draw(page: Axes, x: float, y: float) -> None:
-        page.add_patch(Box((x, y), _WIDE, _HIGH, **style))
-
-    return draw
+def _draw_box(page: Axes, x: float, y: float, **style: Any) -> None:
+    page.add_patch(Box((x, y), _WIDE, _HIGH, **style))
 
 
 def _filled_box(colour: str) -> Swatch:
-    return _box(facecolor=colour, edgecolor=colours.INK, linewidth=0.5)
+    return partial(_draw_box, facecolor=colour, edgecolor=colours.INK, linewidth=0.5)
 
 
 def _striped_box(colour: str, stripe: str) -> Swatch:
@@ -125,46 +109,32 @@ def _striped_box(colour: str, stripe: str) -> Swatch:
                 [x + start, x + start + _HIGH], [y + _HIGH * 0.96, y + _HIGH * 0.04], color=stripe,
                 linewidth=1.6, solid_capstyle="butt",
             )  # fmt: skip
-        page.add_patch(Box((x, y), _WIDE, _HIGH, fill=False, edgecolor=colours.INK, linewidth=0.5, zorder=4))
+        _draw_box(page, x, y, fill=False, edgecolor=colours.INK, linewidth=0.5, zorder=4)
 
     return draw
 
 
-def _numbered_disc(face: str, ink: str) -> Swatch:
-    def draw(page: Axes, x: float, y: float) -> None:
-        centre = (x + _WIDE / 2, y + _HIGH / 2)
-        page.plot(*centre, "o", color=face, markeredgecolor=colours.INK, markersize=9, markeredgewidth=1.2)
-        page.text(*centre, "0", fontsize=6, fontweight="bold", color=ink, ha="center", va="center_baseline")
-
-    return draw
+def _draw_disc(page: Axes, x: float, y: float, face: str) -> None:
+    centre, ink = (x + _WIDE / 2, y + _HIGH / 2), colours.PAPER if face == colours.INK else colours.INK
+    page.plot(*centre, "o", color=face, markeredgecolor=colours.INK, markersize=9, markeredgewidth=1.2)
+    page.text(*centre, "0", fontsize=6, fontweight="bold", color=ink, ha="center", va="center_baseline")
 
 
-def _plain_line(colour: str) -> Swatch:
-    def draw(page: Axes, x: float, y: float) -> None:
-        page.plot([x, x + _WIDE], [y + _HIGH / 2] * 2, color=colour, linewidth=1.0)
-
-    return draw
+def _draw_line(page: Axes, x: float, y: float, **style: Any) -> None:
+    page.plot([x, x + _WIDE], [y + _HIGH / 2] * 2, **style)
 
 
-def _dashed_line(tints: Sequence[str]) -> Swatch:
-    def draw(page: Axes, x: float, y: float) -> None:
-        pieces = list(tints) if len(tints) > 1 else 4 * list(tints)
-        width = _WIDE / len(pieces)
-        for number, colour in enumerate(pieces):
-            ends = [x + number * width, x + (number + 0.75) * width]
-            page.plot(ends, [y + _HIGH / 2] * 2, color=colour, linewidth=1.4, solid_capstyle="butt")
-
-    return draw
+def _draw_dashes(page: Axes, x: float, y: float, tints: Sequence[str]) -> None:
+    width = _WIDE / len(tints)
+    for number, colour in enumerate(tints):
+        ends = [x + number * width, x + (number + 0.75) * width]
+        page.plot(ends, [y + _HIGH / 2] * 2, color=colour, linewidth=1.4, solid_capstyle="butt")
 
 
-def _track(colour: str, mark: str) -> Swatch:
-    def draw(page: Axes, x: float, y: float) -> None:
-        page.plot([x, x + _WIDE], [y + _HIGH / 2] * 2, color=colour, linewidth=1.9, solid_capstyle="butt")
-        page.plot(
-            [x + _WIDE], [y + _HIGH / 2], mark, color=colour, markersize=6.5, markeredgecolor=colours.PAPER
-        )
-
-    return draw
+def _draw_track(page: Axes, x: float, y: float, ending: str) -> None:
+    colour, mark = colours.ending_style(ending)
+    _draw_line(page, x, y, color=colour, linewidth=1.9, solid_capstyle="butt")
+    page.plot([x + _WIDE], [y + _HIGH / 2], mark, color=colour, markersize=6.5, markeredgecolor=colours.PAPER)
 
 
 def draw_sections(figure: Figure, columns: Sequence[Sequence[Section]], place: PageRectangle) -> float:

@@ -3,6 +3,7 @@
 import string
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from matplotlib import patheffects
@@ -74,7 +75,7 @@ _PASSAGE_OPACITY, _PASSAGE_STRIPES = 0.4, 3.2
 def render_ground(content: MapContent, ground: GroundGrid, stripe_px: float) -> Array:
     """Colours (rows, columns, 3) of the ground in sRGB: slope, shading, spawn cells, plants and water."""
     picture = slope_colours(ground, content.max_slope_deg, stripe_px)
-    across, up = np.arange(len(ground.x)), np.arange(len(ground.y))[:, None]
+    up, across = np.ogrid[: len(ground.y), : len(ground.x)]
     chosen = content.spawner.free_space.values_at(spawn_mask(content.spawner), ground.points)
     _blend(picture, chosen, colours.SPAWN, 0.16)
     _blend(picture, chosen & _stripes(across - up, 1.6 * stripe_px), colours.SPAWN, 0.30)
@@ -86,11 +87,9 @@ def slope_colours(ground: GroundGrid, max_slope_deg: float, stripe_px: float) ->
     palette = np.array([colours.rgb(c) for c in (*colours.SLOPES, colours.TOO_STEEP)])
     classes = slope_class(ground.slope, max_slope_deg)
     picture = palette[classes]
-    rows, columns = classes.shape
-    across, up = np.arange(columns), np.arange(rows)[:, None]
-    picture[(classes == SLOPE_CLASSES) & _stripes(across + up, stripe_px)] = colours.rgb(
-        colours.TOO_STEEP_STRIPE
-    )
+    up, across = np.ogrid[: classes.shape[0], : classes.shape[1]]
+    striped = (classes == SLOPE_CLASSES) & _stripes(across + up, stripe_px)
+    picture[striped] = colours.rgb(colours.TOO_STEEP_STRIPE)
     return picture
 
 
@@ -110,9 +109,8 @@ def shade_ground(picture: Array, world: World, ground: GroundGrid) -> Array:
 def render_passages(content: MapContent, ground: GroundGrid, stripe_px: float) -> Array:
     """Stripes (rows, columns, 4), sRGB and opacity, on spawn cells below props such as solar arrays."""
     below = spawn_mask_below_props(content.spawner, content.world, ground)
-    rows, columns = below.shape
-    across, up = np.arange(columns), np.arange(rows)[:, None]
-    picture = np.zeros((rows, columns, 4))
+    up, across = np.ogrid[: below.shape[0], : below.shape[1]]
+    picture = np.zeros((*below.shape, 4))
     picture[..., :3] = colours.rgb(colours.PASSAGE)
     picture[..., 3] = _PASSAGE_OPACITY * (below & _stripes(across - up, _PASSAGE_STRIPES * stripe_px))
     return picture
@@ -163,15 +161,9 @@ def draw_contours(axes: Axes, world: World, rectangle: Rectangle, size_in: tuple
     if not len(levels):
         return
     lines = axes.contour(
-        ground.x,
-        ground.y,
-        height,
-        levels,
-        colors=colours.CONTOUR,
-        linewidths=0.45,
-        zorder=1,
+        ground.x, ground.y, height, levels, colors=colours.CONTOUR, linewidths=0.45, zorder=1,
         negative_linestyles="solid",
-    )
+    )  # fmt: skip
     per_m = size_in[0] / (rectangle[1] - rectangle[0])
     long = [_drop_short_lines(path, _SHORTEST_CONTOUR_IN / per_m) for path in lines.get_paths()]
     lines.set_paths(long)
@@ -198,40 +190,31 @@ def draw_props(axes: Axes, footprints: Sequence[PropFootprints], tints: dict[str
         edge = colours.DRIVABLE_EDGE if each.drivable else colours.INK
         # First the edges of every triangle, then their faces on top: only the outline remains visible.
         for colour, width, order in ((edge, 0.9, 0.0), (fill, 0.1, 0.01)):
-            axes.add_collection(
-                PolyCollection(
-                    list(each.triangles),
-                    facecolors=colour,
-                    edgecolors=colour,
-                    linewidths=width,
-                    zorder=2 + 0.02 * number + order,
-                ),
-                autolim=False,
-            )
+            shapes = PolyCollection(list(each.triangles), color=colour, linewidths=width)
+            shapes.set_zorder(2 + 0.02 * number + order)
+            axes.add_collection(shapes, autolim=False)
 
 
 def draw_region(axes: Axes, region: Rectangle, width: float) -> None:
     """Draw the outline of the region of starts and goals."""
-    xmin, xmax, ymin, ymax = region
-    for colour, line in ((colours.PAPER, width + 1.4), (colours.SPAWN_EDGE, width)):
-        axes.add_patch(
-            Box(
-                (xmin, ymin), xmax - xmin, ymax - ymin, fill=False, edgecolor=colour, linewidth=line, zorder=4
-            )
-        )
+    _outline(axes, region, edgecolor=colours.PAPER, linewidth=width + 1.4)
+    _outline(axes, region, edgecolor=colours.SPAWN_EDGE, linewidth=width)
+
+
+def _outline(axes: Axes, rectangle: Rectangle, **style: Any) -> None:
+    xmin, xmax, ymin, ymax = rectangle
+    axes.add_patch(Box((xmin, ymin), xmax - xmin, ymax - ymin, fill=False, zorder=4, **style))
 
 
 def draw_candidates(axes: Axes, content: MapContent) -> None:
     """Draw the numbers of the regions that `world.region` chooses from, and outlines of those not chosen."""
     _, _, ymin, ymax = content.world.extent
     for number, each in enumerate(content.world.region_candidates, start=1):
-        left, right, low, high = each.rectangle
+        left, _, _, high = each.rectangle
         if each.rectangle != content.spawner.region:
-            for colour, line, style in ((colours.PAPER, 2.4, "-"), (colours.SPAWN_EDGE, 1.2, (0, (3, 1.5)))):
-                axes.add_patch(
-                    Box((left, low), right - left, high - low, fill=False, edgecolor=colour, linewidth=line,
-                        linestyle=style, zorder=4)
-                )  # fmt: skip
+            _outline(axes, each.rectangle, edgecolor=colours.PAPER, linewidth=2.4)
+            dashed = {"linewidth": 1.2, "linestyle": (0, (3, 1.5))}
+            _outline(axes, each.rectangle, edgecolor=colours.SPAWN_EDGE, **dashed)
         # Above the rectangle, or inside at the upper edge of the world.
         inside = ymax - high < 0.05 * (ymax - ymin)
         axes.annotate(
@@ -295,30 +278,21 @@ def draw_episodes(axes: Axes, content: MapContent, per_m: float, joined: bool) -
                 [each.x, each.goal_x], [each.y, each.goal_y], color=colours.INK, linewidth=0.7,
                 linestyle=(0, (1, 2)), zorder=5.5,
             )  # fmt: skip
-        axes.add_patch(
-            Circle((each.goal_x, each.goal_y), content.goal_distance_m, fill=False, edgecolor=colours.INK,
-                   linewidth=0.6, linestyle=(0, (3, 2)), zorder=5.6)
-        )  # fmt: skip
+        style = {"fill": False, "linewidth": 0.6, "linestyle": (0, (3, 2)), "zorder": 5.6}
+        goal = (each.goal_x, each.goal_y)
+        axes.add_patch(Circle(goal, content.goal_distance_m, edgecolor=colours.INK, **style))
         nose = (each.x + reach * np.cos(each.yaw), each.y + reach * np.sin(each.yaw))
         axes.annotate(
             "", nose, (each.x, each.y), zorder=6,
             arrowprops={"arrowstyle": "-|>,head_length=4,head_width=2.6", "color": colours.INK,
                         "mutation_scale": 1, "linewidth": 1.6, "shrinkA": 0, "shrinkB": 0},
         )  # fmt: skip
-        for (x, y), face, ink in (
-            ((each.x, each.y), colours.INK, colours.PAPER),
-            ((each.goal_x, each.goal_y), colours.PAPER, colours.INK),
-        ):
+        ends = (((each.x, each.y), colours.INK, colours.PAPER), (goal, colours.PAPER, colours.INK))
+        for (x, y), face, ink in ends:
             axes.plot(
-                [x],
-                [y],
-                "o",
-                color=face,
-                markeredgecolor=colours.INK,
-                markersize=10.5,
-                markeredgewidth=1.3,
+                [x], [y], "o", color=face, markeredgecolor=colours.INK, markersize=10.5, markeredgewidth=1.3,
                 zorder=6.2,
-            )
+            )  # fmt: skip
             axes.annotate(
                 label, (x, y), color=ink, fontsize=6.5 if len(label) < 2 else 5.5, fontweight="bold",
                 ha="center", va="center_baseline", zorder=6.3,

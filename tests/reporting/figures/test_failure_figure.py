@@ -13,16 +13,11 @@ import yaml
 from report_runs import methods_of
 
 from dune_rl import evaluate
-from dune_rl.reporting.comparisons.comparison import EvaluatedPolicy
+from dune_rl.reporting.comparison import EvaluatedPolicy
 from dune_rl.reporting.figures.failure_replay import replay_failures
-from dune_rl.reporting.figures.failures import (
-    FailureGallery,
-    choose_failures,
-    collect_failures,
-    draw_failures,
-)
-from dune_rl.reporting.runs import EvaluationRun
-from dune_rl.reporting.step_table import StepTable
+from dune_rl.reporting.figures.failures import choose_failures, draw_failures, show_failures
+from dune_rl.reporting.inputs import EvaluationRun
+from dune_rl.reporting.rows import StepTable
 
 TEXT = {"policy", "set", "world", "engine", "agent"}
 
@@ -33,7 +28,7 @@ def make_method(make_rows: Callable, name: str, **ends: list[int]) -> EvaluatedP
         {**row, "collisions": 0.0} | {kind: float(index in numbers) for kind, numbers in ends.items()}
         for index, row in enumerate(make_rows(10, 0))
     ]
-    run = EvaluationRun(Path("none"), "none", {}, {}, rows, StepTable.of_rows([]))
+    run = EvaluationRun(Path("none"), "none", {}, {}, rows)
     return EvaluatedPolicy(name, name, rows, [run], "a")
 
 
@@ -51,37 +46,35 @@ def read_evaluation(path: Path) -> EvaluationRun:
     steps = path / "steps.csv"
     return EvaluationRun(
         path, path.name, config, provenance, read_table(path / "episodes.csv"),
-        StepTable.read(steps) if steps.exists() else StepTable.of_rows([]),
+        StepTable.read(steps) if steps.exists() else StepTable(),
     )  # fmt: skip
 
 
 def test_some_of_each_kind_are_chosen_from_other_episodes(make_rows: Callable) -> None:
     method = make_method(make_rows, "m", collisions=[0, 1, 2], stuck=[0, 3], timeout=[5])
-    chosen = [(one.kind, one.key[0]) for _, one in choose_failures([method])]
+    chosen = [(one.kind, one.key[0]) for one in choose_failures([method])]
     assert chosen == [("collision", 1), ("stuck", 0), ("timeout", 5)]
-    more = [(one.kind, one.key[0]) for _, one in choose_failures([method], each=2)]
+    more = [(one.kind, one.key[0]) for one in choose_failures([method], each=2)]
     assert more == [("collision", 1), ("collision", 2), ("stuck", 0), ("stuck", 3), ("timeout", 5)]
 
 
 def test_the_number_is_bounded_and_shared_by_all_methods(make_rows: Callable) -> None:
     many = [make_method(make_rows, f"m{i}", collisions=[0], stuck=[1], flipped=[2]) for i in range(12)]
     chosen = choose_failures(many, most=14)
-    assert len(chosen) == 14 and {method.name for method, _ in chosen} == {f"m{i}" for i in range(12)}
+    assert len(chosen) == 14 and {one.method.name for one in chosen} == {f"m{i}" for i in range(12)}
     assert choose_failures([make_method(make_rows, "perfect")]) == []
 
 
 def test_without_the_folder_and_steps_failures_are_left_out_with_a_reason(make_rows: Callable) -> None:
-    calls: list[tuple[int, int]] = []
+    calls: list[int] = []
     method = make_method(make_rows, "m", collisions=[0], stuck=[3])
-    gallery = collect_failures([method], progress=lambda done, total: calls.append((done, total)))
-    assert not gallery.shown and calls == [(1, 2), (2, 2)]
-    assert gallery.counts == {("a", "m", "collision"): 1, ("a", "m", "stuck"): 1}
-    assert ["episode 0 (collision)" in gallery.left_out[0], "episode 3 (stuck)" in gallery.left_out[1]] == [
-        True
-    ] * 2
-    assert "config.yaml" in gallery.left_out[0] and "no steps" in gallery.left_out[0]
-    assert "no failure to show" in draw_failures(gallery).texts[0].get_text()
-    assert "no failure to show" in draw_failures(FailureGallery()).texts[0].get_text()
+    first, second = failures = show_failures(choose_failures([method]), calls.append)
+    assert not first.is_shown and not second.is_shown and calls == [0, 1, 2]
+    assert [(one.kind, one.count) for one in failures] == [("collision", 1), ("stuck", 1)]
+    assert "episode 0 (collision)" in first.reason and "episode 3 (stuck)" in second.reason
+    assert "config.yaml" in first.reason and "no steps" in first.reason
+    assert "no failure to show" in draw_failures(failures).texts[0].get_text()
+    assert "no failure to show" in draw_failures([]).texts[0].get_text()
 
 
 @pytest.fixture
@@ -94,15 +87,14 @@ def evaluated(call: Callable[..., int], folder: Path) -> EvaluationRun:
 
 @pytest.mark.slow
 def test_pictures_are_of_the_seconds_before_the_same_failure(evaluated: EvaluationRun) -> None:
-    gallery = collect_failures(methods_of(evaluated))
-    (shown,) = gallery.shown
-    assert (shown.kind, shown.episode, shown.reason, shown.track) == ("timeout", 0, "", None)
+    (shown,) = show_failures(choose_failures(methods_of(evaluated)), lambda done: None)
+    assert (shown.kind, shown.key[0], shown.reason, shown.track) == ("timeout", 0, "", None)
     assert shown.replay is not None and shown.replay.time_s == pytest.approx(1.5)
     # The episode lasts 1.5 s: there is nothing 3 or 2 s before its end.
     np.testing.assert_allclose(shown.replay.before_s, [1.0, 0.0])
     early, late = shown.replay.pictures
     assert early.shape == (240, 320, 3) and early.dtype == np.uint8 and (early != late).any()
-    figure = draw_failures(gallery)
+    figure = draw_failures([shown])
     pictures = [axes for axes in figure.axes if axes.images]
     assert [axes.get_title(loc="left") for axes in pictures] == ["1.0 s before", "the failure"]
     assert (np.asarray(pictures[1].images[0].get_array()) == late).all()
@@ -114,33 +106,35 @@ def test_pictures_are_of_the_seconds_before_the_same_failure(evaluated: Evaluati
 def test_an_episode_that_comes_out_otherwise_is_shown_from_its_steps(evaluated: EvaluationRun) -> None:
     for row in evaluated.episodes:
         row["steps"] = 29.0
-    (shown,) = collect_failures(methods_of(evaluated)).shown
+    (shown,) = show_failures(choose_failures(methods_of(evaluated)), lambda done: None)
     assert shown.replay is None and "came out differently" in shown.reason
     assert shown.track is not None
-    figure = draw_failures(FailureGallery([shown]))
+    figure = draw_failures([shown])
     (panel,) = figure.axes
     assert "came out differently" in panel.get_xlabel().replace("\n", " ")
     assert "out of time, episode 0" in panel.get_title(loc="left")
     assert "last 20 s on the map" in panel.get_title(loc="left")
-    many = draw_failures(FailureGallery([shown] * 6))
+    many = draw_failures([shown] * 6)
     assert len(many.axes) == 6
 
 
 def test_functions_of_users_and_changed_weights_are_not_run(evaluated: EvaluationRun) -> None:
     config = yaml.safe_load((evaluated.path / "config.yaml").read_text())
     (method,) = methods_of(evaluated)
-    ((_, wanted),) = choose_failures([method])
+    (wanted,) = choose_failures([method])
     provenance = json.loads((evaluated.path / "provenance.json").read_text())
     config["policy"] = ["os:getcwd"]
     (evaluated.path / "config.yaml").write_text(yaml.safe_dump(config))
     other = EvaluatedPolicy("getcwd", "getcwd", method.rows, method.runs, method.cases)
     provenance["policies"] = [{"location": "os:getcwd", "sha256": None}]
     (evaluated.path / "provenance.json").write_text(json.dumps(provenance))
-    (reason,) = replay_failures(other, [wanted], (64, 64)).values()
-    assert "which reports do not run" in str(reason)
+    wanted.method = other
+    replay_failures([wanted], (64, 64))
+    assert "which reports do not run" in wanted.reason
     provenance["policies"][0]["sha256"] = "0" * 64
     (evaluated.path / "provenance.json").write_text(json.dumps(provenance))
-    (reason,) = replay_failures(other, [wanted], (64, 64)).values()
-    assert "other weights" in str(reason)
-    (reason,) = replay_failures(method, [wanted], (64, 64)).values()
-    assert "not among those" in str(reason)
+    replay_failures([wanted], (64, 64))
+    assert "other weights" in wanted.reason
+    wanted.method = method
+    replay_failures([wanted], (64, 64))
+    assert "not among those" in wanted.reason

@@ -37,15 +37,15 @@ def test_a_value_on_an_edge_is_in_the_bin_above(make_rows: Callable) -> None:
     for row, distance in zip(rows, (1.9, 2.0, 3.9), strict=True):
         row["goal_distance_m"] = distance
     found = success_by_bin(rows, "goal_distance_m", np.array([0.0, 2.0, 4.0]))
-    assert [(one.share.count, one.share.value) for one in found] == [(1, 1.0), (2, 0.5)]
-    assert found[1].share == estimate_proportion([True, False])
+    assert [(one.count, one.value) for one in found] == [(1, 1.0), (2, 0.5)]
+    assert found[1] == estimate_proportion([True, False])
 
 
 def test_rows_without_the_property_or_success_are_left_out(make_rows: Callable) -> None:
     rows = make_rows(4, 4)
     rows[0]["slope_deg"], rows[1]["success"] = np.nan, np.nan
     (found,) = success_by_bin(rows, "slope_deg", np.array([0.0, 20.0]))
-    assert found.share.count == 2
+    assert found.count == 2
 
 
 def test_the_figure_has_shares_intervals_and_counts(make_rows: Callable) -> None:
@@ -54,13 +54,13 @@ def test_the_figure_has_shares_intervals_and_counts(make_rows: Callable) -> None
     (axes,) = figure.axes
     edges = axes.get_xticks()
     bins = success_by_bin(rows, "goal_distance_m", np.array(edges))
-    full = [one for one in bins if one.share.count]
-    np.testing.assert_allclose(lines(axes)["planner"][:, 1], [one.share.value for one in full])
+    full = [one for one in bins if one.count]
+    np.testing.assert_allclose(lines(axes)["planner"][:, 1], [one.value for one in full])
     (bars,) = axes.containers[0].lines[2]
     ends = [segment[:, 1] for segment in bars.get_segments()]
-    np.testing.assert_allclose(ends, [[one.share.low, one.share.high] for one in full])
+    np.testing.assert_allclose(ends, [[one.low, one.high] for one in full])
     counts = [int(text.get_text()) for text in axes.texts]
-    assert counts == [one.share.count for one in bins] and sum(counts) == 20
+    assert counts == [one.count for one in bins] and sum(counts) == 20
     assert "[m]" in figure.get_supxlabel() and "20 episodes on 5 sites" in figure.get_supxlabel()
 
 

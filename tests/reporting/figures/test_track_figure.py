@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow
 import pytest
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
@@ -17,10 +18,17 @@ from dune_rl.config.schema import EnvConf
 from dune_rl.reporting.figures.results import FAILURES, REACHED, ending_of, failures_of
 from dune_rl.reporting.figures.track_data import collect_tracks, until_failure
 from dune_rl.reporting.figures.tracks import SiteGround, draw_tracks, view_of
-from dune_rl.reporting.runs import EvaluationRun
-from dune_rl.reporting.step_table import StepTable
+from dune_rl.reporting.inputs import EvaluationRun
+from dune_rl.reporting.rows import StepTable
 
+STEPS = (
+    "policy", "agent", "episode", "x_m", "y_m", "speed_mps", "time_s", "collisions_so_far",
+)  # fmt: skip
 FLAT = {"world": {"name": "flat", "size_m": 40.0, "region_size_m": 8.0}}
+
+
+def step_table(rows: list[dict[str, Any]]) -> StepTable:
+    return StepTable(pyarrow.table({name: [row.get(name) for row in rows] for name in STEPS}))
 
 
 def make_evaluation(
@@ -49,9 +57,7 @@ def make_evaluation(
                 steps.append({**common, "agent": "rover_0", **pose, "collisions_so_far": float(step >= 2)})
                 walker = {**pose, "y_m": 9.0, "collisions_so_far": np.nan}
                 steps.append({**common, "agent": "walker_0", **walker})
-    return EvaluationRun(
-        Path("e"), "e", FLAT if config is None else config, {}, rows, StepTable.of_rows(steps)
-    )
+    return EvaluationRun(Path("e"), "e", FLAT if config is None else config, {}, rows, step_table(steps))
 
 
 def ways(axes: Any) -> list[LineCollection]:
@@ -60,7 +66,7 @@ def ways(axes: Any) -> list[LineCollection]:
 
 def test_a_track_has_the_places_speeds_collisions_and_walkers_of_its_steps(make_rows: Callable) -> None:
     (site,) = collect_tracks(methods_of(make_evaluation(make_rows, ["planner"])))
-    assert (site.cases, site.world_seed, site.title, site.reason) == ("flat-v1", None, "flat-v1", "")
+    assert (site.cases, site.world_seed, site.title) == ("flat-v1", None, "flat-v1")
     assert site.world is not None and site.world.extent == (-20.0, 20.0, -20.0, 20.0)
     first, second = site.tracks["planner"]
     np.testing.assert_allclose(first.points, [[0, 0], [1, 0], [2, 0], [3, 0]])
@@ -128,7 +134,7 @@ def test_sites_and_episodes_are_bounded(make_rows: Callable) -> None:
 def test_a_site_that_cannot_be_built_is_drawn_without_a_map(make_rows: Callable) -> None:
     config = {"world": {"name": "mesh", "path": "nowhere.obj"}}
     (site,) = collect_tracks(methods_of(make_evaluation(make_rows, ["planner"], config=config)))
-    assert site.world is None and site.reason
+    assert site.world is None
     panel = draw_tracks([site]).axes[0]
     assert "cannot be built" in panel.get_ylabel() and len(ways(panel)) == 2
 
@@ -149,7 +155,7 @@ def test_steps_that_are_not_finite_are_left_out(make_rows: Callable) -> None:
     evaluation = make_evaluation(make_rows, ["planner"], episodes=1)
     steps = evaluation.steps.of("planner", [0.0])
     steps[2]["x_m"] = np.nan
-    evaluation = replace(evaluation, steps=StepTable.of_rows(steps))
+    evaluation = replace(evaluation, steps=step_table(steps))
     (site,) = collect_tracks(methods_of(evaluation))
     np.testing.assert_allclose(site.tracks["planner"][0].points[:, 0], [0, 1, 3])
 
@@ -161,7 +167,7 @@ def test_twelve_methods_go_on_in_further_rows_and_none_is_told(make_rows: Callab
     titles = [axes.get_title(loc="left") for axes in figure.axes if axes.get_title(loc="left")]
     assert titles == [f"{i}: 1 of 1 succeed" for i in range(12)]
     assert "no evaluation has steps" in draw_tracks([]).texts[0].get_text()
-    without = EvaluationRun(Path("e"), "e", FLAT, {}, twelve.episodes, StepTable.of_rows([]))
+    without = EvaluationRun(Path("e"), "e", FLAT, {}, twelve.episodes)
     assert collect_tracks(methods_of(without)) == []
 
 

@@ -12,7 +12,7 @@ from dune_rl.reporting.figures.training import (
     draw_training_curves,
     training_band,
 )
-from dune_rl.reporting.runs import TrainingRun
+from dune_rl.reporting.inputs import TrainingRun
 
 
 def make_run(

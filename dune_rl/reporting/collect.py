@@ -11,10 +11,10 @@ from typing import Any, get_args
 from dune_rl.config.commands import BuiltInPolicy
 from dune_rl.config.saved import robot_names, split_groups
 from dune_rl.evaluation.episode_sets.files import read_episode_set
-from dune_rl.reporting.comparisons.comparison import Cases, Comparison, EvaluatedPolicy
-from dune_rl.reporting.csv_rows import is_number
-from dune_rl.reporting.origins import installed_checksum, policy_origins
-from dune_rl.reporting.runs import EvaluationRun, Row, differing_settings
+from dune_rl.reporting.comparison import Cases, Comparison, EvaluatedPolicy
+from dune_rl.reporting.inputs import EvaluationRun, differing_settings
+from dune_rl.reporting.reading import installed_checksum, policy_origins
+from dune_rl.reporting.rows import Row, is_number
 
 # What decides how an episode runs, apart from the policy: it must be equal for results to pair.
 _DECISIVE = ("world", "weather", "randomisation", "protocol", "run_steps")
@@ -46,29 +46,23 @@ def collect_comparisons(evaluations: Sequence[EvaluationRun]) -> list[Comparison
 def cases_of(run: EvaluationRun, group: str) -> Cases:
     """The cases of a group of agents in an evaluation whose episodes are all of one set, world and seed."""
     first = run.episodes[0]
-    groups = len(_by_group(run.episodes))
     name, world, engine = (str(first.get(key, "")) for key in ("set", "world", "engine"))
     seed = int(first["seed"]) if is_number(first.get("seed")) else None
-    used = run.provenance.get("set")
+    used, population = run.provenance.get("set"), run.provenance.get("population")
     checksum = str(used.get("sha256", "")) if isinstance(used, dict) else ""
-    if name:
-        decisive: Any = [name, checksum]
-        title = name
-    else:
-        decisive = [world, seed, _decisive_settings(run.config)]
-        title = world if seed is None else f"{world}, seed {seed}"
-    population = run.provenance.get("population")
+    settings = _decisive_settings(run.config)
+    decisive: list[Any] = [name, checksum] if name else [world, seed, settings]
+    title = name or (world if seed is None else f"{world}, seed {seed}")
     if isinstance(population, dict):
         # Of a cross-play: other actors than those of the set, or by other weights.
-        decisive = [decisive, population.get("sha256"), _decisive_settings(run.config)["actors"]]
+        decisive = [decisive, population.get("sha256"), settings["actors"]]
         title += f" among {population.get('name')}"
     text = json.dumps([decisive, engine, group], sort_keys=True, default=str)
-    key = hashlib.sha256(text.encode()).hexdigest()
     protocol = run.config.get("protocol")
     title += "" if protocol is None else f", protocol={protocol}"
     title += f" ({engine})" if engine not in ("", "bullet") else ""
-    title += f", {group}" if groups > 1 else ""
-    return Cases(key, title, world, name, checksum, engine, seed, group)
+    title += f", {group}" if len(_by_group(run.episodes)) > 1 else ""
+    return Cases(hashlib.sha256(text.encode()).hexdigest(), title, world, name, checksum, engine, seed)
 
 
 def _decisive_settings(config: Mapping[str, Any]) -> dict[str, Any]:
@@ -103,15 +97,12 @@ def _add_method(comparison: Comparison, policy: str, rows: list[Row], run: Evalu
 
 
 def _same_rows(first: Sequence[Row], second: Sequence[Row]) -> bool:
-    ids = ("episode", "agent")
-    a, b = ({tuple(row[key] for key in ids): row for row in rows} for rows in (first, second))
-    return a.keys() == b.keys() and all(_same_row(row, b[key]) for key, row in a.items())
-
-
-def _same_row(first: Row, second: Row) -> bool:
-    return all(
-        first[name] == second[name] or (first[name] != first[name] and second[name] != second[name])
-        for name in first.keys() & second.keys()
+    a, b = ({(row["episode"], row["agent"]): row for row in rows} for rows in (first, second))
+    return a.keys() == b.keys() and all(
+        value == b[key][name] or (value != value and b[key][name] != b[key][name])
+        for key, row in a.items()
+        for name, value in row.items()
+        if name in b[key]
     )
 
 
@@ -154,35 +145,33 @@ def _difference(same: Sequence[Comparison]) -> str:
 
 def describe_oddities(comparison: Comparison) -> list[str]:
     """What is odd about a comparison, a sentence each."""
-    notes = []
+    notes, methods, cases = [], comparison.methods, comparison.cases
     if len(comparison.thresholds) > 1:
         values = ", ".join(f"{value:g}°" for value in comparison.thresholds)
         notes.append(f"VORT was measured with different thresholds ({values}) and does not compare.")
-    counts = {method.name: len(method.rows) for method in comparison.methods}
+    counts = {method.name: len(method.rows) for method in methods}
+    common = len(comparison.common_episodes())
     if len(set(counts.values())) > 1:
         told = ", ".join(f"{name} {count}" for name, count in counts.items())
         notes.append(
-            f"The methods have different numbers of episodes ({told}); pairs are compared on the "
-            f"{len(comparison.common_episodes())} that all have."
+            f"The methods have different numbers of episodes ({told}); pairs are compared on the {common} "
+            "that all have."
         )
-    elif len(comparison.methods) > 1 and len(comparison.common_episodes()) < max(counts.values()):
+    elif common < max(counts.values()):
         notes.append("The methods have different episodes; pairs are compared on those that all have.")
-    for method in comparison.methods:
-        if method.episodes == 1:
-            notes.append(f"{method.name} has one episode, which has no interval.")
-    total = _episodes_of_set(comparison.cases)
-    short = {f"{method.name} {method.episodes}" for method in comparison.methods if method.episodes < total}
+    single = [method.name for method in methods if method.episodes == 1]
+    notes += [f"{name} has one episode, which has no interval." for name in single]
+    total = _episodes_of_set(cases)
+    short = sorted({f"{method.name} {method.episodes}" for method in methods if method.episodes < total})
     if short:
-        notes.append(f"The set has {total} episodes, of which there are: {', '.join(sorted(short))}.")
-    for method in comparison.methods:
+        notes.append(f"The set has {total} episodes, of which there are: {', '.join(short)}.")
+    for method in methods:
         if sites := _sites_of_training(method):
             notes.append(f"{method.name} was trained on {sites} of these sites: these are not unseen ones.")
-    trained = [method.name for method in comparison.methods if _is_at_home(comparison.cases, method)]
+    trained = ", ".join(method.name for method in methods if _is_at_home(cases, method))
     if trained:
-        notes.append(
-            f"{', '.join(trained)}: measured on the site that it was trained on; on others it may do worse."
-        )
-    robots = {", ".join(robot_names(run.config)) for one in comparison.methods for run in one.runs}
+        notes.append(f"{trained}: measured on the site that it was trained on; on others it may do worse.")
+    robots = {", ".join(robot_names(run.config)) for one in methods for run in one.runs}
     if len(robots) > 1:
         notes.append(f"The robots differ: {', '.join(sorted(robots))}.")
     return notes

@@ -1,7 +1,7 @@
 """Methods on the same cases: their episodes, their estimates and how they differ in pairs."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -10,12 +10,11 @@ from typing import Any
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.suggestions import closest
 from dune_rl.evaluation.columns import measured_columns
-from dune_rl.metrics.catalogue import measure_of, measures_of
-from dune_rl.metrics.measure import Measure
-from dune_rl.reporting.csv_rows import is_number
-from dune_rl.reporting.runs import EvaluationRun, Row
+from dune_rl.metrics.catalogue import Measure, measure_of
+from dune_rl.reporting.inputs import EvaluationRun
+from dune_rl.reporting.rows import Row, is_number
 from dune_rl.statistics.intervals import Estimate
-from dune_rl.statistics.measures import CASE_COLUMNS, MetricsRow, cluster_rows, estimate_metrics
+from dune_rl.statistics.measures import CASE_COLUMNS, cluster_rows, estimate_metrics
 from dune_rl.statistics.paired_comparison import PairedComparison, compare_policies
 
 
@@ -30,10 +29,9 @@ class Cases:
     checksum: str
     engine: str
     seed: int | None
-    group: str
 
 
-@dataclass
+@dataclass(eq=False)
 class EvaluatedPolicy:
     """A policy on the cases of the title `cases`: its episodes, and the evaluations that they come from."""
 
@@ -103,6 +101,11 @@ class Comparison:
         return sorted(value for value in found if value is not None)
 
 
+def files_of(comparisons: Iterable[Comparison]) -> list[Path]:
+    """The tables that the figures of comparisons come from."""
+    return list(dict.fromkeys(file for one in comparisons for file in one.files))
+
+
 def compare_methods(
     methods: Mapping[str, EvaluatedPolicy], only: Measure | None = None
 ) -> list[PairedComparison]:
@@ -113,17 +116,14 @@ def compare_methods(
     common = _common_episodes(methods.values())
     if len(methods) < 2 or not common:
         return []
-    results = {name: _rows_of(method, common) for name, method in methods.items()}
+    results = {
+        name: [row for row in method.rows if (row["episode"], row["agent"]) in common]
+        for name, method in methods.items()
+    }
     shared = set.intersection(*(measured_names(rows) for rows in results.values()))
     if only is not None:
         shared &= {only.metric, only.per}
-    kept = {*shared, *CASE_COLUMNS, "episode", "agent"}
-    found = compare_policies(
-        {
-            name: [{key: value for key, value in row.items() if key in kept} for row in rows]
-            for name, rows in results.items()
-        }
-    )
+    found = compare_policies({name: select_metrics(rows, shared) for name, rows in results.items()})
     return [pair for pair in found if only is None or pair.measure.name == only.name]
 
 
@@ -131,35 +131,21 @@ def _common_episodes(methods: Iterable[EvaluatedPolicy]) -> set[tuple[float, str
     return set.intersection(*({(row["episode"], row["agent"]) for row in method.rows} for method in methods))
 
 
-def _rows_of(method: EvaluatedPolicy, ids: set[tuple[float, str]]) -> list[MetricsRow]:
-    rows = [row for row in method.rows if (row["episode"], row["agent"]) in ids]
-    return numeric_rows(rows, sorted(measured_names(rows), key=column_names(rows).index))
-
-
 def _uneven_tilt(config: Mapping[str, Any]) -> float | None:
     metrics = config.get("metrics")
-    if not isinstance(metrics, dict):
-        return None
-    terms = metrics.get("terms")
+    terms = metrics.get("terms") if isinstance(metrics, dict) else None
     vort = terms.get("vort") if isinstance(terms, dict) else None
-    if isinstance(vort, dict) and is_number(vort.get("uneven_tilt_deg")):
-        return float(vort["uneven_tilt_deg"])
-    # Settings of earlier versions.
-    old = metrics.get("uneven_tilt_rad")
+    tilt = vort.get("uneven_tilt_deg") if isinstance(vort, dict) else None
+    if isinstance(tilt, int | float):
+        return float(tilt)
+    # Settings of the first studies.
+    old = metrics.get("uneven_tilt_rad") if isinstance(metrics, dict) else None
     return round(math.degrees(float(old)), 6) if isinstance(old, int | float) else None
 
 
 def estimate_rows(rows: Sequence[Row]) -> dict[str, Estimate]:
     """Each measure over the rows of a method with its 95 % interval; those without any value are left out."""
-    names = measured_names(rows)
-    found: dict[str, Estimate] = {}
-    for measure in measures_of([name for name in column_names(rows) if name in names]):
-        used = [measure.metric, *([measure.per] if measure.per else [])]
-        numeric = numeric_rows(rows, used)
-        found |= {
-            name: estimate for name, estimate in estimate_metrics(numeric).items() if name == measure.name
-        }
-    return found
+    return estimate_metrics(select_metrics(rows, measured_names(rows)))
 
 
 def estimate_of(name: str, method: str, rows: Sequence[Row], estimates: Mapping[str, Estimate]) -> Estimate:
@@ -170,33 +156,18 @@ def estimate_of(name: str, method: str, rows: Sequence[Row], estimates: Mapping[
     if name in estimates:
         return estimates[name]
     measure = measure_of(name)
-    if measure.metric in column_names(rows) and measure.per in (None, *column_names(rows)):
+    if measure.metric in rows[0] and measure.per in (None, *rows[0]):
         return Estimate(math.nan, math.nan, math.nan, 0)
     near = closest(name, estimates)
     raise ConfigError(f"{method} has no measure {name}" + (f"; did you mean {near}?" if near else ""))
 
 
-def column_names(rows: Sequence[Row]) -> list[str]:
-    """The columns of rows, in the order in which they appear."""
-    return list(dict.fromkeys(name for row in rows for name in row))
-
-
 def measured_names(rows: Sequence[Row]) -> set[str]:
     """Metrics that at least one of the rows has a value of."""
-    return {
-        name for name in measured_columns(column_names(rows)) if any(is_number(row.get(name)) for row in rows)
-    }
+    return {name for name in measured_columns([*rows[0]]) if any(is_number(row.get(name)) for row in rows)}
 
 
-def numeric_rows(rows: Sequence[Row], names: Sequence[str]) -> list[MetricsRow]:
-    """The metrics `names` of rows, their ids as numbers and their sites; NaN where a row has no value."""
-    agents = {agent: float(number) for number, agent in enumerate(sorted({row["agent"] for row in rows}))}
-    return [
-        {
-            "episode": row["episode"],
-            "agent": agents[row["agent"]],
-            **{name: row[name] for name in CASE_COLUMNS if name in row},
-            **{name: row[name] if is_number(row.get(name)) else math.nan for name in names},
-        }
-        for row in rows
-    ]
+def select_metrics(rows: Sequence[Row], metrics: Collection[str]) -> list[Row]:
+    """The rows with these metrics alone, and the columns that tell their cases."""
+    kept = {*metrics, *CASE_COLUMNS, "episode", "agent"}
+    return [{name: value for name, value in row.items() if name in kept} for row in rows]

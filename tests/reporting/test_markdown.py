@@ -9,7 +9,7 @@ from report_runs import episode_rows, write_evaluation
 
 from dune_rl import report
 from dune_rl.core.errors import ConfigError
-from dune_rl.reporting.markdown_blocks import rewrite_file, rewrite_text
+from dune_rl.reporting.markdown import rewrite_file, rewrite_text
 
 FILES = sorted(
     file

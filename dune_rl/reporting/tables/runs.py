@@ -1,20 +1,22 @@
-"""Tables of what was compared: the cases, and where each evaluation and each training run comes from."""
+"""Tables of what was compared, where it comes from, and what training runs and sweeps came to."""
 
+import math
 import shlex
+import statistics
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from dune_rl.config.saved import robot_names
-from dune_rl.metrics.number_text import NOTHING, format_range
-from dune_rl.reporting.comparisons.comparison import Comparison
-from dune_rl.reporting.csv_rows import is_number
-from dune_rl.reporting.origins import installed_checksum
-from dune_rl.reporting.runs import EvaluationRun, Row
-from dune_rl.reporting.tables.table import Cell, Table
-from dune_rl.reporting.training_groups import TrainingGroup
+from dune_rl.metrics.catalogue import CATALOGUE, NOTHING, format_range, format_value, measure_of
+from dune_rl.reporting.comparison import Comparison, files_of
+from dune_rl.reporting.inputs import EvaluationRun, Sweep, TrainingGroup, last_evaluation
+from dune_rl.reporting.reading import installed_checksum
+from dune_rl.reporting.rows import Row, is_number
+from dune_rl.reporting.tables.methods import PAPER_MEASURES
+from dune_rl.reporting.tables.table import Cell, Table, measure_title, text_table
 
 _SHOWN = 12
+_RETURN = "return"
 
 
 def cases_table(comparisons: Sequence[Comparison]) -> Table:
@@ -38,32 +40,20 @@ def cases_table(comparisons: Sequence[Comparison]) -> Table:
                 "methods": ", ".join(method.name for method in one.methods),
             }
         )
-    return _text_table(
+    return text_table(
         "cases",
         "Cases",
         "Methods on the same cases met the same episodes. VORT above: the tilt from which ground counts as "
         "uneven; the paper states none. Goals: straight distance from start to goal.",
         data,
-        list(dict.fromkeys(file for one in comparisons for file in one.files)),
+        files_of(comparisons),
     )
-
-
-def _text_table(
-    name: str, title: str, caption: str, data: Sequence[Mapping[str, object]], sources: Sequence[Path]
-) -> Table:
-    """A table of words; columns in which no row has any are left out."""
-    # Long lists have their place in the CSV alone.
-    shown = [
-        key for key in data[0] if key != "methods" and any(row[key] not in ("", NOTHING) for row in data)
-    ]
-    rows = [[Cell(str(row[key])) for key in shown] for row in data]
-    return Table(name, title, caption, shown, rows, data, sources, heads=len(shown))
 
 
 def evaluations_table(evaluations: Sequence[EvaluationRun]) -> Table:
     """Where each evaluation comes from: date, commit, versions, weights, machine, command."""
     data = [_origin(run) for run in evaluations]
-    return _text_table(
+    return text_table(
         "evaluations",
         "Evaluations",
         "A study that was published without provenance has dashes. Weights: the beginning of their SHA-256.",
@@ -100,7 +90,6 @@ def training_origin_table(groups: Sequence[TrainingGroup]) -> Table:
         world, learning = _mapping(config.get("world")), _mapping(config.get("learning"))
         randomisation = _mapping(config.get("randomisation"))
         total = config.get("total_frames")
-        frames = [max(float(row["frames"]) for row in run.history) for run in group.runs]
         data.append(
             {
                 "training": group.name,
@@ -108,16 +97,113 @@ def training_origin_table(groups: Sequence[TrainingGroup]) -> Table:
                 "site": _trained_sites(world, randomisation),
                 "seeds": ", ".join(group.seeds),
                 "algorithm": str(learning.get("name", NOTHING)),
-                "frames": format_range([round(one) for one in frames]),
+                "frames": format_range([round(run.frames) for run in group.runs]),
                 "of": f"{total:,}" if isinstance(total, int) else NOTHING,
             }
         )
-    return _text_table(
+    return text_table(
         "training_runs",
         "Training runs",
         "Runs that differ only in their seed are together.",
         data,
         [run.path / "config.yaml" for group in groups for run in group.runs if run.config],
+    )
+
+
+def training_table(groups: Sequence[TrainingGroup]) -> Table:
+    """What each run came to in its last evaluation, and the mean over the seeds of a group."""
+    finals = [
+        (group, run, agents, last_evaluation(run.history, agents))
+        for group in groups
+        for run in group.runs
+        for agents in run.agent_groups
+    ]
+    shown = [name for name in PAPER_MEASURES if any(is_number(row.get(name)) for *_, row in finals)]
+    shown.append(_RETURN)
+    rows: list[list[Cell]] = []
+    data: list[Mapping[str, object]] = []
+    for group in groups:
+        by_agents: dict[str, list[Row]] = {}
+        for _, run, agents, row in (final for final in finals if final[0] is group):
+            by_agents.setdefault(agents, []).append(row)
+            seed, episodes = run.config.get("seed", NOTHING), row.get("episodes", math.nan)
+            told = NOTHING if math.isnan(episodes) else f"{episodes:.0f}"
+            words = (_with(run.name, agents), str(seed), f"{run.frames:,.0f}", told)
+            rows.append([*map(Cell, words), *(_value(name, row.get(name)) for name in shown)])
+            about = {"group": group.name, "run": run.name, "agents": agents}
+            about |= {"seed": run.config.get("seed", ""), "frames": row.get("frames", math.nan)}
+            values = {name: row.get(name, math.nan) for name in shown}
+            data.append({**about, "episodes": episodes, **values})
+        if len(group.runs) > 1:
+            for agents, found in by_agents.items():
+                title = Cell(f"mean of {_with(group.name, agents)}")
+                rows.append([title, *[Cell("")] * 3, *(_mean(name, found) for name in shown)])
+    titles = [_RETURN if name == _RETURN else measure_title(measure_of(name)) for name in shown]
+    return Table(
+        "training",
+        "The last evaluation of each training run",
+        "On unseen episodes, whose number is given. Means over seeds: with the least and the largest.",
+        ["run", "seed", "frames", "episodes", *titles],
+        rows,
+        data,
+        [run.path / "metrics.csv" for group in groups for run in group.runs],
+    )
+
+
+def _with(name: str, agents: str) -> str:
+    return f"{name}, {agents}" if agents else name
+
+
+def _mean(name: str, rows: Sequence[Row]) -> Cell:
+    values = [float(row[name]) for row in rows if is_number(row.get(name))]
+    cell = _value(name, statistics.fmean(values) if values else None)
+    if len(values) < 2:
+        return cell
+    return Cell(cell.text, f"{_value(name, min(values)).text} to {_value(name, max(values)).text}")
+
+
+def _value(name: str, value: object) -> Cell:
+    if not isinstance(value, int | float) or math.isnan(value):
+        return Cell(NOTHING)
+    return Cell(f"{value:.1f}" if name == _RETURN else format_value(measure_of(name), float(value)))
+
+
+def sweep_table(name: str, sweep: Sweep) -> Table:
+    """The parameters of each job and what it came to; the best job is marked."""
+    parameters = list(dict.fromkeys(each for job in sweep.jobs for each in job.parameters))
+    measure = next((one for one in CATALOGUE if sweep.metric in (one.metric, one.name)), None)
+    known = [job.objective for job in sweep.jobs if not math.isnan(job.objective)]
+    best_value = next((job.objective for job in sweep.jobs if job.name == sweep.best), math.nan)
+    rows, data = [], []
+    for job in sweep.jobs:
+        if math.isnan(job.objective):
+            text, best = NOTHING, not known and job.name == sweep.best
+        else:
+            text = f"{job.objective:.3g}" if measure is None else format_value(measure, job.objective)
+            # Where all jobs are equal, none is the best.
+            best = len(set(known)) > 1 and job.objective == best_value
+        words = (job.name, *(job.parameters.get(each, "") for each in parameters))
+        # Not by its colour alone.
+        rows.append([*map(Cell, words), Cell(f"{text} (best)" if best else text, best=best)])
+        result = {"objective": job.objective, "best": int(job.name == sweep.best)}
+        data.append({"sweep": sweep.name, "job": job.name, **job.parameters, **result})
+    title = sweep.metric if measure is None else measure_title(measure)
+    caption = (
+        f"Objective: {title} in the last evaluation of each job; "
+        f"{'more' if sweep.maximise else 'less'} is better. The best of many jobs looks better than it is: "
+        "evaluate it on episodes that it was not chosen by."
+    )
+    if len(known) < len(sweep.jobs):
+        caption += f" {len(sweep.jobs) - len(known)} of {len(sweep.jobs)} jobs have no figure."
+    return Table(
+        name,
+        f"{sweep.name}: {len(sweep.jobs)} jobs",
+        caption,
+        ["job", *parameters, title],
+        rows,
+        data,
+        [job.path / file for job in sweep.jobs for file in (".hydra/overrides.yaml", "metrics.csv")],
+        heads=1 + len(parameters),
     )
 
 

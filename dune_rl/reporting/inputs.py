@@ -1,14 +1,19 @@
 """What a report is made of: training runs, evaluations and sweeps, as they were read from their folders."""
 
+import json
 import re
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, TypeVar
 
-from dune_rl.reporting.step_table import Row, StepTable
+from dune_rl.reporting.rows import Row, StepTable
 
 _SEED = re.compile(r"(seed_?)?\d+")
+_SHOWN = 3
+# Settings that change neither what is learnt nor on what.
+_INDIFFERENT = ("seed", "run_dir", "resume", "film", "device", "objective")
 
 
 @dataclass(frozen=True)
@@ -23,6 +28,16 @@ class TrainingRun:
     name: str
     config: Mapping[str, Any]
     history: list[Row]
+
+    @property
+    def frames(self) -> float:
+        """The frames that it has made."""
+        return max(float(row["frames"]) for row in self.history)
+
+    @property
+    def agent_groups(self) -> list[str]:
+        """The groups of agents that it trained; one without a name where there is only one."""
+        return list(dict.fromkeys(str(row.get("group", "")) for row in self.history))
 
 
 @dataclass(frozen=True)
@@ -39,7 +54,7 @@ class EvaluationRun:
     config: Mapping[str, Any]
     provenance: Mapping[str, Any]
     episodes: list[Row]
-    steps: StepTable
+    steps: StepTable = field(default_factory=StepTable)
 
 
 @dataclass(frozen=True)
@@ -106,9 +121,9 @@ Named = TypeVar("Named", TrainingRun, EvaluationRun, Sweep)
 def with_unique_names(runs: Sequence[Named]) -> list[Named]:
     """The runs with the shortest ends of their paths that tell them apart; equal paths get numbers."""
     names: list[str] = []
-    for run in runs:
-        parts = run.path.resolve().parts
-        others = [other.path.resolve().parts for other in runs if other.path.resolve() != run.path.resolve()]
+    paths = [run.path.resolve() for run in runs]
+    for path in paths:
+        parts, others = path.parts, [other.parts for other in paths if other != path]
         # "seed1" alone tells nothing.
         length = 2 if _SEED.fullmatch(parts[-1]) else 1
         while length < len(parts) and any(other[-length:] == parts[-length:] for other in others):
@@ -140,3 +155,52 @@ def last_evaluation(history: Sequence[Row], group: str | None = None) -> Row:
     rows = [row for row in history if row.get("kind") == "eval"]
     wanted = str(rows[0].get("group", "")) if rows and group is None else group
     return next((row for row in reversed(rows) if str(row.get("group", "")) == wanted), {})
+
+
+@dataclass(frozen=True)
+class TrainingGroup:
+    """Runs with equal settings, but for their seeds."""
+
+    name: str
+    runs: list[TrainingRun]
+
+    @property
+    def seeds(self) -> list[str]:
+        """The seed of each run."""
+        return [str(run.config.get("seed", "?")) for run in self.runs]
+
+
+def group_runs(runs: Sequence[TrainingRun]) -> list[TrainingGroup]:
+    """The runs, those together that only their seeds tell apart; runs without settings stay alone."""
+    by_settings: dict[str, list[TrainingRun]] = {}
+    for run in runs:
+        kept = {name: value for name, value in run.config.items() if name not in _INDIFFERENT}
+        key = json.dumps(kept, sort_keys=True, default=str) if run.config else f"alone: {run.name}"
+        by_settings.setdefault(key, []).append(run)
+    named = [(_common_name(members), members) for members in by_settings.values()]
+    found: list[TrainingGroup] = []
+    for name, members in named:
+        same = [each[0].config for known, each in named if known == name]
+        # Groups of one name are called by the settings that tell them apart, such as those of a sweep.
+        told = [
+            f"{path.rpartition('.')[2]}={value}"
+            for path, value in differing_settings(members[0].config, same).items()
+            if path not in _INDIFFERENT
+        ]
+        if told:
+            name = ", ".join(told[:_SHOWN]) + (f", {len(members)} seeds" if len(members) > 1 else "")
+        found.append(TrainingGroup(unique_name(name, [group.name for group in found]), members))
+    return found
+
+
+def _common_name(runs: Sequence[TrainingRun]) -> str:
+    """What the names of the runs have in common: the folder that they are in, or their beginning."""
+    if len(runs) == 1:
+        return runs[0].name
+    # Names are ends of paths.
+    equal = takewhile(lambda letters: len(set(letters)) == 1, zip(*(run.name for run in runs), strict=False))
+    beginning = "".join(letters[0] for letters in equal).rstrip("/_-. ").removesuffix("seed").rstrip("/_-. ")
+    parents = {run.path.resolve().parent for run in runs}
+    if not beginning and len(parents) == 1:
+        beginning = parents.pop().name
+    return f"{beginning or runs[0].name}, {len(runs)} seeds"
