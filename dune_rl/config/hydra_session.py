@@ -21,8 +21,7 @@ from hydra.version import setbase
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from dune_rl.config.options import offer_user_parts, stored_options
-from dune_rl.config.overrides import ParsedOverrides, sweep_values
+from dune_rl.config.overrides import ParsedOverrides, offer_user_parts, stored_options, sweep_values
 from dune_rl.core import paths
 from dune_rl.core.errors import ConfigError
 

@@ -12,8 +12,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from dune_rl.learning.group_policy import GroupPolicy
-from dune_rl.learning.networks.features import Architecture
-from dune_rl.learning.networks.policy import make_policy_network
+from dune_rl.learning.networks.policy import Architecture, make_policy_network
 from dune_rl.learning.policy_spec import PolicySpec
 
 

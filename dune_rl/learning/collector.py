@@ -18,8 +18,8 @@ from dune_rl.core.errors import DuneWarning
 from dune_rl.core.seeding import stream
 from dune_rl.learning.group_policy import JointPolicy
 from dune_rl.learning.population import OpponentDraws, Population, PopulationPolicy
+from dune_rl.learning.process import WorkerMonitor
 from dune_rl.learning.settings import CollectorConf
-from dune_rl.learning.worker_monitor import WorkerMonitor
 
 # Of the number of scenes and a seed; with a curriculum, also of it, by its name.
 MakeEnv = Callable[..., EnvBase]

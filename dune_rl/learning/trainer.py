@@ -17,10 +17,10 @@ from dune_rl.core.errors import DuneWarning, TrainingError
 from dune_rl.env.curriculum import CurriculumConf
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE, find_checkpoint_file, read_checkpoint_file
 from dune_rl.learning.collector import MakeEnv, TransitionCollector, learner_threads
-from dune_rl.learning.evaluation import EvaluationPictures
+from dune_rl.learning.evaluation import EvaluationPictures, PeriodicEvaluation
 from dune_rl.learning.group_policy import select_group
 from dune_rl.learning.learners import build_learners, restore_learners, start_learners
-from dune_rl.learning.periodic_evaluation import PeriodicEvaluation
+from dune_rl.learning.policies import WarmUp
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.population import make_population
 from dune_rl.learning.process import (
@@ -35,7 +35,6 @@ from dune_rl.learning.run.log import RunLog
 from dune_rl.learning.run.progress import Reporter, RunStatus
 from dune_rl.learning.run.tensorboard import HParam
 from dune_rl.learning.settings import LearningConf
-from dune_rl.learning.warmup import WarmUp
 from dune_rl.statistics.measures import MetricsRow
 
 

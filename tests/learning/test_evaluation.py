@@ -16,8 +16,7 @@ from dune_rl.core.files import write_csv
 from dune_rl.evaluation.tables import results_table
 from dune_rl.learning.evaluation import evaluate
 from dune_rl.learning.group_policy import Deterministic, GroupPolicy
-from dune_rl.learning.networks.features import Architecture
-from dune_rl.learning.networks.policy import make_policy_network
+from dune_rl.learning.networks.policy import Architecture, make_policy_network
 from dune_rl.learning.policies import GoToGoal, UniformRandom
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.run.log import draw_curve

@@ -15,12 +15,10 @@ from dune_rl.config.schema import Conf
 from dune_rl.core.errors import CheckpointError, ConfigError
 from dune_rl.learning.group_policy import GroupPolicy
 from dune_rl.learning.networks.encoders import ImageEncoder
-from dune_rl.learning.networks.features import Architecture
-from dune_rl.learning.networks.policy import make_policy_network
+from dune_rl.learning.networks.policy import Architecture, make_policy_network
 from dune_rl.learning.policy_spec import PartSpec, PolicySpec
-from dune_rl.learning.sac.replay import check_memory
+from dune_rl.learning.sac.replay import TransitionCodec, check_memory
 from dune_rl.learning.sac.settings import ReplayConf
-from dune_rl.learning.sac.transitions import TransitionCodec
 from dune_rl.learning.saved_policies import load_policy
 
 RGB = PartSpec((16, 20, 3), True, 0.0, 255.0)

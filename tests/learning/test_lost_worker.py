@@ -12,9 +12,9 @@ import pytest
 from training import small, trainer
 
 from dune_rl.core.errors import TrainingError
+from dune_rl.learning.process import WorkerMonitor
 from dune_rl.learning.settings import CollectorConf
 from dune_rl.learning.trainer import Trainer
-from dune_rl.learning.worker_monitor import WorkerMonitor
 
 
 def kill_a_worker_after(trained: Trainer, frames: int) -> None:

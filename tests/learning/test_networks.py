@@ -7,8 +7,7 @@ import torch
 from point_mass import make_team
 
 from dune_rl.learning.group_policy import GroupPolicy
-from dune_rl.learning.networks.features import Architecture, Normaliser
-from dune_rl.learning.networks.policy import make_policy_network
+from dune_rl.learning.networks.policy import Architecture, Normaliser, make_policy_network
 from dune_rl.learning.policy_spec import PolicySpec
 
 

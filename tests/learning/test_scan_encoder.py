@@ -8,8 +8,7 @@ from training import make_sac
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.learning.networks.encoders import ScanEncoder
-from dune_rl.learning.networks.features import Architecture, Features
-from dune_rl.learning.networks.policy import make_policy_network
+from dune_rl.learning.networks.policy import Architecture, Features, make_policy_network
 from dune_rl.learning.policy_spec import PartSpec, PolicySpec
 
 SPEC = PolicySpec(

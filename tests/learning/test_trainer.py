@@ -14,8 +14,7 @@ from dune_rl.core.errors import CheckpointError
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE
 from dune_rl.learning.collector import TransitionCollector, environment_seed
 from dune_rl.learning.group_policy import GroupPolicy
-from dune_rl.learning.networks.features import Architecture
-from dune_rl.learning.networks.policy import make_policy_network
+from dune_rl.learning.networks.policy import Architecture, make_policy_network
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.run.progress import Reporter, SpeedMeter, TrainingStatus
 from dune_rl.learning.settings import CollectorConf

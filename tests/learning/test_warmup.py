@@ -7,9 +7,8 @@ import torch
 from point_mass import make_two_groups
 from training import assert_halves_make_a_whole, make_sac, small
 
-from dune_rl.learning.policies import UniformRandom, WarmupPolicy
+from dune_rl.learning.policies import UniformRandom, WarmUp, WarmupPolicy
 from dune_rl.learning.policy_spec import PolicySpec
-from dune_rl.learning.warmup import WarmUp
 
 
 @pytest.fixture

@@ -1,14 +1,184 @@
-"""The policy network: features of the observation, then a tanh-normal over the action's bounds."""
+"""The policy network: one feature vector of all parts of an observation, then a tanh-normal action."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
 
 import torch
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import Tensor, nn
 from torchrl.modules import ProbabilisticActor, TanhNormal
 
-from dune_rl.learning.networks.features import Architecture, Features
-from dune_rl.learning.policy_spec import PolicySpec
+from dune_rl.core.errors import ConfigError
+from dune_rl.core.suggestions import advise
+from dune_rl.learning.networks.registry import ENCODERS, parse_encoder
+from dune_rl.learning.policy_spec import PackedObservation, PartSpec, PolicySpec
+
+_LEAST_RANGE_M = 1e-3
+# Shorter scans go to the networks as they are.
+_SHORTEST_SCAN = 8
+
+
+@dataclass(frozen=True)
+class Architecture:
+    """Sizes of the networks, beside those of the spec: the settings of `learning` of the same names.
+
+    `networks` has the settings of encoders, as plain data, by the part of the observation.
+    """
+
+    hidden: tuple[int, ...]
+    scan_channels: int = 0
+    observation_clip: float = 10.0
+    image_channels: tuple[int, ...] = (16, 32, 32)
+    image_features: int = 64
+    networks: Mapping[str, Any] = field(default_factory=dict)
+
+    def plain(self) -> dict[str, Any]:
+        """Containers that `torch.load(weights_only=True)` reads."""
+        return {**asdict(self), "hidden": list(self.hidden), "image_channels": list(self.image_channels)}
+
+    @classmethod
+    def from_plain(cls, data: Mapping[str, Any]) -> "Architecture":
+        """The inverse of `plain`; a setting that a file lacks has its default."""
+        lists = {key: tuple(data[key]) for key in ("hidden", "image_channels") if key in data}
+        return cls(**{**data, **lists})
+
+
+class Normaliser(nn.Module):
+    """Running mean and variance of observation vectors (..., n), which it scales to about unit size.
+
+    Of the entries in `logarithmic` (n,) it takes the logarithm first. On a linear scale of 12 m the last half
+    metre before a wall would be a tenth of a standard deviation.
+    """
+
+    mean: Tensor
+    variance: Tensor
+    count: Tensor
+    logarithmic: Tensor
+
+    def __init__(self, logarithmic: Tensor, clip: float) -> None:
+        super().__init__()
+        size = len(logarithmic)
+        self.clip = clip
+        self.register_buffer("logarithmic", logarithmic)
+        self.register_buffer("mean", torch.zeros(size))
+        self.register_buffer("variance", torch.ones(size))
+        self.register_buffer("count", torch.zeros((), dtype=torch.float64))
+
+    @torch.no_grad()
+    def observe(self, vectors: Tensor) -> None:
+        """Merge `vectors` (k, n) into the statistics (Chan, Golub and LeVeque's pairwise update)."""
+        batch = self._scaled(vectors).double()
+        k = len(batch)
+        mean, variance = batch.mean(0), batch.var(0, correction=0)
+        total = self.count + k
+        shift = mean - self.mean.double()
+        merged = self.variance.double() * self.count + variance * k + shift**2 * (self.count * k / total)
+        self.mean.copy_(self.mean.double() + shift * (k / total))
+        self.variance.copy_(merged / total)
+        self.count.copy_(total)
+
+    def forward(self, vectors: Tensor) -> Tensor:
+        """`vectors` normalised and clipped, same shape."""
+        vectors = self._scaled(vectors)
+        # The floor keeps a part that never moves (an empty LiDAR) from amplifying its first change.
+        return ((vectors - self.mean) / (self.variance + 1e-4).sqrt()).clamp(-self.clip, self.clip)
+
+    def _scaled(self, vectors: Tensor) -> Tensor:
+        return torch.where(self.logarithmic, vectors.clamp(min=_LEAST_RANGE_M).log(), vectors)
+
+
+class Features(nn.Module):
+    """Makes one vector of the observation's parts, (..., `size`).
+
+    The encoder of a part is the one that `architecture.networks` names. Without one, scans of equal length
+    are convolved together, images one by one, and other vectors are passed on.
+    """
+
+    def __init__(self, spec: PolicySpec, architecture: Architecture) -> None:
+        super().__init__()
+        self._spec = spec
+        _check_names(spec, architecture.networks)
+        named, channels = architecture.networks, architecture.scan_channels
+        scan = {"encoder": "scan", "channels": channels}
+        image = {
+            "encoder": "image",
+            "channels": architecture.image_channels,
+            "features": architecture.image_features,
+        }
+        self._scans = _equal_scans(spec, named) if channels else []
+        self._images = [key for key in spec.images if key not in named]
+        self._named = sorted(named)
+        encoded = {*named, *(key for keys in self._scans for key in keys)}
+        self._vectors = [key for key in spec.sizes if key not in encoded]
+        # The names of modules are those in published weights.
+        self.normaliser = Normaliser(spec.range_columns, architecture.observation_clip)
+        convolutions = nn.ModuleList(_make(scan, _stacked(spec, keys)) for keys in self._scans)
+        self.scans = nn.ModuleDict({"convolutions": convolutions})
+        self.images = nn.ModuleList(_make(image, spec.images[key]) for key in self._images)
+        self.named = nn.ModuleList(_make(named[key], spec.part(key)) for key in self._named)
+        self.size = sum(spec.sizes[key] for key in self._vectors)
+        self.size += sum(encoder.size for _, encoder in self._encoders())
+
+    def _encoders(self) -> Iterator[tuple[Sequence[str], Any]]:
+        yield from zip(self._scans, self.scans["convolutions"].children(), strict=True)
+        yield from zip([[key] for key in self._images], self.images, strict=True)
+        yield from zip([[key] for key in self._named], self.named, strict=True)
+
+    def forward(self, *parts: Tensor) -> Tensor:
+        """Features (..., size) of the parts, vectors (..., n_i) and images, in the spec's order."""
+        vectors = len(self._spec.sizes)
+        if not vectors:
+            nothing = parts[0].new_zeros((*parts[0].shape[:-3], 0), dtype=torch.float32)
+            return self._encode(nothing, parts)
+        return self._encode(torch.cat(parts[:vectors], -1), parts[vectors:])
+
+    def encode(self, observations: PackedObservation) -> Tensor:
+        """Features (..., size) of the result of `PolicySpec.pack`."""
+        return self._encode(*self._spec.unpack(observations))
+
+    def _encode(self, vectors: Tensor, images: Sequence[Tensor]) -> Tensor:
+        split = self.normaliser(vectors).split(list(self._spec.sizes.values()), -1)
+        parts = dict(zip([*self._spec.sizes, *self._spec.images], [*split, *images], strict=True))
+        found = [parts[key] for key in self._vectors]
+        for keys, encoder in self._encoders():
+            read = [parts[key] for key in keys]
+            found.append(encoder(read[0] if len(read) == 1 else torch.stack(read, -2)))
+        return torch.cat(found, -1)
+
+
+def _make(conf: Mapping[str, Any], part: PartSpec) -> nn.Module:
+    encoder = ENCODERS.build(parse_encoder(conf), part)
+    if not isinstance(encoder, nn.Module):
+        raise ConfigError(
+            f"the encoder {conf['encoder']!r} must be a torch.nn.Module, and is {encoder!r:.80}"
+        )
+    return encoder
+
+
+def _equal_scans(spec: PolicySpec, named: Mapping[str, Any]) -> list[list[str]]:
+    """The keys of the scans without an encoder of their own, grouped by length, shortest first."""
+    scans: dict[int, list[str]] = {}
+    for key, length in spec.sizes.items():
+        if key in spec.ranges and length >= _SHORTEST_SCAN and key not in named:
+            scans.setdefault(length, []).append(key)
+    return [scans[length] for length in sorted(scans)]
+
+
+def _stacked(spec: PolicySpec, keys: Sequence[str]) -> PartSpec:
+    length = spec.sizes[keys[0]]
+    return PartSpec((length,) if len(keys) == 1 else (len(keys), length))
+
+
+def _check_names(spec: PolicySpec, named: Mapping[str, Any]) -> None:
+    for key in named:
+        if key not in spec.keys:
+            remedy = advise(key, spec.keys)
+            raise ConfigError(
+                f"learning.networks.{key} encodes no part of the observation; {remedy} (for one group of "
+                "agents alone, write learning.groups.GROUP.networks)"
+            )
+
 
 FEATURES = "features"
 _LOG_SCALE_MIN, _LOG_SCALE_MAX = -5.0, 2.0

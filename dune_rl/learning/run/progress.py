@@ -19,7 +19,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from dune_rl.learning.periodic_evaluation import PeriodicEvaluation
+from dune_rl.learning.evaluation import PeriodicEvaluation
 
 # Speeds are means over this time [s]; over less than the other, they are not told to a user.
 _WINDOW_S, _LEAST_WINDOW_S = 20.0, 15.0

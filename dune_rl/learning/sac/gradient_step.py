@@ -9,8 +9,7 @@ from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import Tensor, nn
 from torchrl.objectives import SACLoss, SoftUpdate
 
-from dune_rl.learning.networks.features import Features
-from dune_rl.learning.networks.policy import FEATURES, perceptron
+from dune_rl.learning.networks.policy import FEATURES, Features, perceptron
 from dune_rl.learning.policy_spec import PackedObservation, PolicySpec
 from dune_rl.learning.sac.settings import SacConf
 

@@ -13,13 +13,12 @@ from dune_rl.core.errors import CheckpointError
 from dune_rl.core.files import write_atomically
 from dune_rl.learning.algorithm import Algorithm, LearnerContext
 from dune_rl.learning.group_policy import agent_sequences
-from dune_rl.learning.networks.features import Architecture
+from dune_rl.learning.networks.policy import Architecture
 from dune_rl.learning.policies import WarmupPolicy
 from dune_rl.learning.process import preserve_random_state
 from dune_rl.learning.sac.gradient_step import GradientStep
-from dune_rl.learning.sac.replay import Replay, check_memory
+from dune_rl.learning.sac.replay import Replay, TransitionCodec, check_memory
 from dune_rl.learning.sac.settings import SacConf
-from dune_rl.learning.sac.transitions import TransitionCodec
 
 # Transitions whose action values are logged at each evaluation.
 _SAMPLE = 2048
