@@ -30,11 +30,10 @@ Engine = Annotated[str, AfterValidator(_check_engine)]
 class PhysicsConf(Settings):
     """Engine and rates. `control_hz` must divide `physics_hz`.
 
-    `friction` is a pyramid in both engines: a body that slides diagonally to
-    the world's axes feels up to sqrt(2) times the friction of Coulomb's law.
-    DART also has the true cone, which makes its physics several times slower.
-    `solver_iterations` applies to iterative contact solvers: Bullet's, and
-    DART's for the cone; DART's solver for the pyramid is direct.
+    `friction` is a pyramid in both engines: a body that slides diagonally to the world's axes feels up to
+    sqrt(2) times the friction of Coulomb's law. DART also has the true cone, which makes its physics several
+    times slower. `solver_iterations` applies to iterative contact solvers: Bullet's, and DART's for the cone;
+    DART's solver for the pyramid is direct.
     """
 
     backend: Engine = "bullet"
@@ -127,14 +126,12 @@ class PhysicsRobot(Protocol):
     ) -> None:
         """Set the contact parameters of the W ground links, in their order, until the next `reset`.
 
-        `friction` replaces the robot's `ground_friction`; it and `restitution`
-        are multiplied with the ground's. Contacts are springs of `stiffness`
-        [N/m] with `damping` [N s/m]; if these are None they stay as they were,
-        which after `reset` is as stiff as the engine can simulate.
+        `friction` replaces the robot's `ground_friction`; it and `restitution` are multiplied with the
+        ground's. Contacts are springs of `stiffness` [N/m] with `damping` [N s/m]; if these are None they
+        stay as they were, which after `reset` is as stiff as the engine can simulate.
 
-        In DART, stiffness is at most 2e5 N/m and damping at most 4e3 N s/m,
-        only wheels and legs with motors have compliant contacts, and rebounds
-        are below `restitution` by up to 0.12.
+        In DART, stiffness is at most 2e5 N/m and damping at most 4e3 N s/m, only wheels and legs with motors
+        have compliant contacts, and rebounds are below `restitution` by up to 0.12.
         """
 
     def body_state(self) -> tuple[float, ...]:
@@ -146,9 +143,8 @@ class PhysicsRobot(Protocol):
     def drive_state(self) -> tuple[float, ...]:
         """Angles [rad], speeds [rad/s] and torques [N m] of the W motors' joints, concatenated (3 * W).
 
-        Angles of wheels are 0 after `reset` and count whole turns. A torque is
-        what acted on the joint in the last physics step, gear friction
-        subtracted, positive in the direction of positive speed.
+        Angles of wheels are 0 after `reset` and count whole turns. A torque is what acted on the joint in the
+        last physics step, gear friction subtracted, positive in the direction of positive speed.
         """
 
     def work_j(self) -> float:
@@ -167,11 +163,10 @@ class PhysicsRobot(Protocol):
 class PhysicsScene(Protocol):
     """One simulated scene. Not thread-safe; scenes are independent of each other.
 
-    The friction coefficient of a contact is the product of its bodies':
-    a robot's links have those of `RobotBody`, statics their own, kinematic
-    bodies `KINEMATIC_FRICTION`. Contacts are inelastic, and only contacts,
-    joints and motors slow a body down. In DART wheels are mounted on springs,
-    which return part of the energy of a hard landing.
+    The friction coefficient of a contact is the product of its bodies': a robot's links have those of
+    `RobotBody`, statics their own, kinematic bodies `KINEMATIC_FRICTION`. Contacts are inelastic, and only
+    contacts, joints and motors slow a body down. In DART wheels are mounted on springs, which return part of
+    the energy of a hard landing.
     """
 
     @property

@@ -10,20 +10,17 @@ from typing import Literal
 class Motor:
     """Servo on a joint that holds a speed within its torque limit.
 
-    In mode `velocity` a command is the speed [rad/s]. In mode `position` it is
-    an angle [rad]: the set point moves to it in equal parts of a control step,
-    and the speed is `position_gain_per_s` times the difference between set
-    point and angle, as in the servos of walking robots. The absolute target
-    speed is at most `max_speed_radps`.
+    In mode `velocity` a command is the speed [rad/s]. In mode `position` it is an angle [rad]: the set point
+    moves to it in equal parts of a control step, and the speed is `position_gain_per_s` times the difference
+    between set point and angle, as in the servos of walking robots. The absolute target speed is at most
+    `max_speed_radps`.
 
-    The available torque is `max_torque_nm` up to `full_torque_speed_radps`,
-    where the motor's current is limited, and falls linearly from there to 0 at
-    `no_load_speed_radps`, as in a DC motor, minus `gear_friction_nm`; a motor
-    that brakes has the full torque plus the friction. `rotor_inertia_kgm2` is
-    the rotor's inertia reflected to the joint (the gear ratio squared times
-    its own); it limits how fast the speed changes, so that light wheels
-    without grip do not spin up at once. `rest_rad` is the joint's angle after
-    a reset.
+    The available torque is `max_torque_nm` up to `full_torque_speed_radps`, where the motor's current is
+    limited, and falls linearly from there to 0 at `no_load_speed_radps`, as in a DC motor, minus
+    `gear_friction_nm`; a motor that brakes has the full torque plus the friction. `rotor_inertia_kgm2` is the
+    rotor's inertia reflected to the joint (the gear ratio squared times its own); it limits how fast the
+    speed changes, so that light wheels without grip do not spin up at once. `rest_rad` is the joint's angle
+    after a reset.
     """
 
     joint: str

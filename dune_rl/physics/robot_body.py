@@ -60,12 +60,11 @@ class RobotBody:
     `motors` take commands, in their order. Joints that are neither theirs nor
     `passive` turn freely. Joints without a motor start at 0.
 
-    `ground_links` are wheels or feet. They collide with the ground, with
-    `ground_friction` (along a wheel's axle with `sideways_friction_share` of
-    it), and with nothing else, unless `ground_links_meet_obstacles`. Wheels
-    whose collision shapes are wider than they are, such as spheres, have
-    `tyres` instead: these collide, with the same friction, with everything but
-    the ground. All other links collide with everything, with `hull_friction`.
+    `ground_links` are wheels or feet. They collide with the ground, with `ground_friction` (along a wheel's
+    axle with `sideways_friction_share` of it), and with nothing else, unless `ground_links_meet_obstacles`.
+    Wheels whose collision shapes are wider than they are, such as spheres, have `tyres` instead: these
+    collide, with the same friction, with everything but the ground. All other links collide with everything,
+    with `hull_friction`.
 
     `look` is a URDF with the same links and joints that is drawn in place of `urdf`.
     """
@@ -115,12 +114,10 @@ _MIN_BASE_SHARE = 0.1
 class BodyVariation:
     """Differences from a robot's URDF and motors.
 
-    `mass_factor` multiplies the masses and inertias of all links; the centre
-    of mass stays. `centre_shift_b` (3) [m] moves the centre of mass of the
-    whole robot, in the base link's frame: only the base's own centre moves, by
-    more than that, and the base's inertia about its centre stays.
-    `motor_strength` is the share of their voltage that the motors get, see
-    `scale_motors`.
+    `mass_factor` multiplies the masses and inertias of all links; the centre of mass stays. `centre_shift_b`
+    (3) [m] moves the centre of mass of the whole robot, in the base link's frame: only the base's own centre
+    moves, by more than that, and the base's inertia about its centre stays. `motor_strength` is the share of
+    their voltage that the motors get, see `scale_motors`.
     """
 
     mass_factor: float = 1.0
@@ -139,11 +136,10 @@ AS_DESCRIBED = BodyVariation()
 def scale_motors(motors: Sequence[Motor], strength: float) -> tuple[Motor, ...]:
     """The motors at `strength` times their voltage and current.
 
-    A DC motor's stall torque and no-load speed are both proportional to its
-    voltage (T = k V / R, w = V / k), so both are scaled and the slope between
-    them stays, and so are a limit of the current and the speed up to which it
-    acts; a motor without a no-load speed only loses torque. Gear friction and
-    a controller's speed limit are not scaled.
+    A DC motor's stall torque and no-load speed are both proportional to its voltage (T = k V / R, w = V / k),
+    so both are scaled and the slope between them stays, and so are a limit of the current and the speed up to
+    which it acts; a motor without a no-load speed only loses torque. Gear friction and a controller's speed
+    limit are not scaled.
     """
     if strength == 1.0:
         return tuple(motors)

@@ -17,9 +17,8 @@ KINEMATIC_FRICTION = 0.5
 class StaticBody:
     """Triangle mesh that never moves: vertices (V, 3) [m] in the world frame, faces (F, 3).
 
-    Contacts of robots with `ground` are not reported; a contact with any other
-    body is a collision. Friction and restitution coefficients are multiplied
-    with those of the other body of a contact.
+    Contacts of robots with `ground` are not reported; a contact with any other body is a collision. Friction
+    and restitution coefficients are multiplied with those of the other body of a contact.
     """
 
     name: str
@@ -34,9 +33,8 @@ class StaticBody:
 class KinematicCapsule:
     """Upright capsule whose motion is prescribed; its origin is on the ground below its centre.
 
-    It pushes robots with at most `max_push_n` [N], horizontally, and is held
-    back or pushed away by larger resistance. The default is the largest initial
-    force for men in ISO 11228-2.
+    It pushes robots with at most `max_push_n` [N], horizontally, and is held back or pushed away by larger
+    resistance. The default is the largest initial force for men in ISO 11228-2.
     """
 
     name: str

@@ -7,11 +7,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from dune_rl.geometry.arrays import Array
-from dune_rl.physics.process import suppress_stderr
+from dune_rl.physics.bullet.client import pybullet
 from dune_rl.physics.shapes import KINEMATIC_FRICTION, KinematicBox, KinematicShape
-
-with suppress_stderr():
-    import pybullet
 
 # Between those of abdomen and thigh, 10 and 50 N/mm, in ISO/TS 15066. At 1 m/s the force grows by 100 N in a
 # physics step of 5 ms, which is how far it can exceed the limit.
@@ -85,10 +82,9 @@ class PushedRobot(Protocol):
 class BulletKinematics:
     """The kinematic bodies of a PyBullet client, in collision `group` with `mask`.
 
-    PyBullet moves them whatever is in their way. So that they push with a
-    limited force, their contacts are springs: after each physics step in which
-    the force is above the limit, a body is set back by as much as brings it
-    down to the limit.
+    PyBullet moves them whatever is in their way. So that they push with a limited force, their contacts are
+    springs: after each physics step in which the force is above the limit, a body is set back by as much as
+    brings it down to the limit.
 
     `poses` (K, 6: x, y, z, yaw, roll, pitch) are those at the end of the last control step,
     and `any_held_back` whether robots held any of the bodies back in it.

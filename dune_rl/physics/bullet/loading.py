@@ -6,23 +6,21 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 from scipy.spatial.transform import Rotation
 
 from dune_rl.core.errors import PhysicsError
-from dune_rl.physics.process import share_by_identity, suppress_stderr
+from dune_rl.physics.bullet.client import pybullet
+from dune_rl.physics.process import share_by_identity
 from dune_rl.physics.robot_body import (
     AS_DESCRIBED,
     BodyVariation,
-    Coupling,
     RobotBody,
     Tyre,
     read_urdf_body,
 )
-
-with suppress_stderr():
-    import pybullet
 
 # Axis of a tyre in the frame of its link.
 TYRE_AXIS = (0.0, 0.0, 1.0)
@@ -107,11 +105,10 @@ def named_file(text: str) -> Iterator[str]:
 class LoadedBody:
     """The body of a robot in the PyBullet `client`, for all objects that read or command it.
 
-    `handle` is PyBullet's, None while the robot is not loaded. A link has the
-    index of the joint above it, and the base link -1. `joints` and `links` map
-    names to indices; `movable` has the joints that are not fixed, `axes` the
-    axis (3) of each joint. `drive_joints` and `ground_links` are in the order
-    of the `RobotBody`; `tyre_links` are those of the tyres that were loaded.
+    `handle` is PyBullet's, None while the robot is not loaded. A link has the index of the joint above it,
+    and the base link -1. `joints` and `links` map names to indices; `movable` has the joints that are not
+    fixed, `axes` the axis (3) of each joint. `drive_joints` and `ground_links` are in the order of the
+    `RobotBody`; `tyre_links` are those of the tyres that were loaded.
     """
 
     def __init__(self, client: int, spec: RobotBody) -> None:
@@ -155,6 +152,10 @@ class LoadedBody:
             pybullet.removeBody(self.handle, physicsClientId=self.client)
         self.handle = None
 
+    def change_dynamics(self, link: int, **parameters: Any) -> None:
+        """Set parameters of a link or of the joint above it, by PyBullet's names."""
+        pybullet.changeDynamics(self.handle, link, physicsClientId=self.client, **parameters)
+
     def joint_angles(self, joints: Sequence[str]) -> tuple[float, ...]:
         """Angles [rad] of joints by name; 0 while the robot is not loaded."""
         if self.handle is None:
@@ -175,48 +176,27 @@ def set_up_links(body: LoadedBody, spec: RobotBody, hull_mask: int) -> None:
 
     `hull_mask` has the collision groups that the hull collides with.
     """
+    less = 1.0 - spec.sideways_friction_share
     for link in range(-1, len(body.links) - 1):
-        _set_up_link(body, spec, hull_mask, link)
+        axle: Sequence[float] | None = None
+        group, mask, friction = HULL, hull_mask, spec.ground_friction
+        if link in body.tyre_links:
+            # Other robots have tyres, too.
+            group, mask = TYRE, hull_mask & ~GROUND | (TYRE if hull_mask & HULL else 0)
+            axle = TYRE_AXIS
+        elif link in body.ground_links:
+            axle = body.axes.get(link)
+            if not spec.ground_links_meet_obstacles:
+                group, mask = WHEEL, GROUND
+        else:
+            friction = spec.hull_friction
+        pybullet.setCollisionFilterGroupMask(body.handle, link, group, mask, physicsClientId=body.client)
+        body.change_dynamics(link, lateralFriction=friction, restitution=0.0, jointDamping=0.0)
+        if axle is not None and less != 0.0:
+            body.change_dynamics(link, anisotropicFriction=[1.0 - less * abs(part) for part in axle])
     # In a call of its own: together with one of these, PyBullet applies a link's friction to the base.
-    pybullet.changeDynamics(
-        body.handle,
-        -1,
-        linearDamping=0.0,
-        angularDamping=0.0,
-        activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
-        physicsClientId=body.client,
-    )
-
-
-def _set_up_link(body: LoadedBody, spec: RobotBody, hull_mask: int, link: int) -> None:
-    axle: Sequence[float] | None = None
-    if link in body.tyre_links:
-        # Other robots have tyres, too.
-        mask = hull_mask & ~GROUND | (TYRE if hull_mask & HULL else 0)
-        group, friction, axle = TYRE, spec.ground_friction, TYRE_AXIS
-    elif link in body.ground_links:
-        collides = spec.ground_links_meet_obstacles
-        group, mask = (HULL, hull_mask) if collides else (WHEEL, GROUND)
-        friction, axle = spec.ground_friction, body.axes.get(link)
-    else:
-        group, mask, friction = HULL, hull_mask, spec.hull_friction
-    pybullet.setCollisionFilterGroupMask(body.handle, link, group, mask, physicsClientId=body.client)
-    pybullet.changeDynamics(
-        body.handle,
-        link,
-        lateralFriction=friction,
-        restitution=0.0,
-        jointDamping=0.0,
-        physicsClientId=body.client,
-    )
-    if axle is not None and spec.sideways_friction_share != 1.0:
-        less = 1.0 - spec.sideways_friction_share
-        pybullet.changeDynamics(
-            body.handle,
-            link,
-            anisotropicFriction=[1.0 - less * abs(part) for part in axle],
-            physicsClientId=body.client,
-        )
+    no_sleep = pybullet.ACTIVATION_STATE_DISABLE_SLEEPING
+    body.change_dynamics(-1, linearDamping=0.0, angularDamping=0.0, activationState=no_sleep)
 
 
 # The force limit of a coupling is never reached. Its position error falls by the share _GEAR_ERP a second:
@@ -231,42 +211,26 @@ def set_up_joints(body: LoadedBody, spec: RobotBody) -> None:
     friction = {body.joints[joint.joint]: joint.friction_nm for joint in spec.passive}
     for joint in body.movable:
         if joint not in body.drive_joints:
+            force, mode = friction.get(joint, 0.0), pybullet.VELOCITY_CONTROL
             pybullet.setJointMotorControl2(
-                robot,
-                joint,
-                pybullet.VELOCITY_CONTROL,
-                targetVelocity=0.0,
-                force=friction.get(joint, 0.0),
-                physicsClientId=client,
+                robot, joint, mode, targetVelocity=0.0, force=force, physicsClientId=client
             )
     for passive in spec.passive:
-        pybullet.changeDynamics(
-            robot,
-            body.joints[passive.joint],
-            jointDamping=passive.damping_nms_per_rad,
-            physicsClientId=client,
-        )
+        body.change_dynamics(body.joints[passive.joint], jointDamping=passive.damping_nms_per_rad)
     for motor in spec.motors:
         if motor.rest_rad:
             pybullet.resetJointState(robot, body.joints[motor.joint], motor.rest_rad, physicsClientId=client)
+    across, origin = (0.0, 1.0, 0.0), (0.0, 0.0, 0.0)
     for coupling in spec.couplings:
-        _add_coupling(body, coupling)
-
-
-def _add_coupling(body: LoadedBody, coupling: Coupling) -> None:
-    gear = pybullet.createConstraint(
-        body.handle,
-        body.joints[coupling.leader],
-        body.handle,
-        body.joints[coupling.follower],
-        pybullet.JOINT_GEAR,
-        (0.0, 1.0, 0.0),
-        (0.0, 0.0, 0.0),
-        (0.0, 0.0, 0.0),
-        physicsClientId=body.client,
-    )
-    # Bullet's constraint: leader speed + gearRatio * follower speed = 0.
-    ratio = -1.0 / coupling.ratio
-    pybullet.changeConstraint(
-        gear, gearRatio=ratio, maxForce=_GEAR_FORCE, erp=_GEAR_ERP, physicsClientId=body.client
-    )
+        pair = robot, body.joints[coupling.leader], robot, body.joints[coupling.follower]
+        gear = pybullet.createConstraint(
+            *pair, pybullet.JOINT_GEAR, across, origin, origin, physicsClientId=client
+        )
+        # Bullet's constraint: leader speed + gearRatio * follower speed = 0.
+        pybullet.changeConstraint(
+            gear,
+            gearRatio=-1.0 / coupling.ratio,
+            maxForce=_GEAR_FORCE,
+            erp=_GEAR_ERP,
+            physicsClientId=client,
+        )

@@ -3,13 +3,10 @@
 import math
 from collections.abc import Sequence
 
+from dune_rl.physics.bullet.client import pybullet
 from dune_rl.physics.bullet.loading import LoadedBody
 from dune_rl.physics.motors import Servos, WorkMeter, held_targets
-from dune_rl.physics.process import suppress_stderr
 from dune_rl.physics.robot_body import RobotBody, scale_motors
-
-with suppress_stderr():
-    import pybullet
 
 
 class BulletMotors:

@@ -5,11 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from dune_rl.geometry.arrays import Array
-from dune_rl.physics.process import suppress_stderr
+from dune_rl.physics.bullet.client import pybullet
 from dune_rl.physics.shapes import StaticBody
-
-with suppress_stderr():
-    import pybullet
 
 
 class BulletReference:

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from dune_rl.core.errors import PhysicsError
+from dune_rl.physics.bullet.client import pybullet
 from dune_rl.physics.bullet.loading import (
     LoadedBody,
     RobotUrdfs,
@@ -15,11 +16,7 @@ from dune_rl.physics.bullet.loading import (
 )
 from dune_rl.physics.bullet.motors import BulletMotors
 from dune_rl.physics.engine_robot import EngineRobot
-from dune_rl.physics.process import suppress_stderr
 from dune_rl.physics.robot_body import AS_DESCRIBED, BodyVariation, RobotBody
-
-with suppress_stderr():
-    import pybullet
 
 Triple = tuple[float, float, float]
 Quadruple = tuple[float, float, float, float]
@@ -230,15 +227,8 @@ class BulletRobot(EngineRobot):
                 self._set_wheel_contact(wheel, row)
 
     def _set_wheel_contact(self, wheel: int, row: Sequence[float]) -> None:
-        pybullet.changeDynamics(
-            self._body.handle,
-            self._body.ground_links[wheel],
-            lateralFriction=row[0],
-            restitution=row[1],
-            contactStiffness=row[2],
-            contactDamping=row[3],
-            physicsClientId=self._body.client,
-        )
+        names = ("lateralFriction", "restitution", "contactStiffness", "contactDamping")
+        self._body.change_dynamics(self._body.ground_links[wheel], **dict(zip(names, row, strict=True)))
 
     def work_j(self) -> float:
         return self.motors.work.take_j()

@@ -10,6 +10,7 @@ from dune_rl.geometry.arrays import Array
 from dune_rl.physics.bullet.client import (
     create_mesh_shape,
     open_client,
+    pybullet,
     release_client,
     release_mesh_lists,
 )
@@ -19,11 +20,7 @@ from dune_rl.physics.bullet.robot import ANY_BODY, BulletRobot
 from dune_rl.physics.contact_gate import ContactGate, TyreActivation
 from dune_rl.physics.engine_robot import take_forces
 from dune_rl.physics.interface import SceneSpec
-from dune_rl.physics.process import suppress_stderr
 from dune_rl.physics.shapes import StaticBody, mesh_pieces
-
-with suppress_stderr():
-    import pybullet
 
 # Limits of a mesh in PyBullet's wheel (B3_MAX_NUM_VERTICES, B3_MAX_NUM_INDICES).
 _MOST_VERTICES, _MOST_FACES = 131_072, 524_288 // 3

@@ -8,7 +8,7 @@ from typing import Any
 from dune_rl.physics.dart.kinematics import DartKinematics
 from dune_rl.physics.dart.loading import weld_massless_body
 from dune_rl.physics.dart.robot import DartRobot
-from dune_rl.physics.dart.statics import LinkMaterial, StaticGeometry
+from dune_rl.physics.dart.statics import LinkMaterial, StaticGeometry, add_shape
 from dune_rl.physics.dart.tyres import tyre_name
 
 Links = dict[LinkMaterial, list[Any]]
@@ -17,11 +17,10 @@ Links = dict[LinkMaterial, list[Any]]
 class CollisionFilter:
     """Disables collision between excluded pairs of bodies, and reports contacts.
 
-    To be created after `DartRobot.load`; it adds bodies to the skeletons. A
-    contact between links of two robots has the product of their friction
-    coefficients, which DART has no place for. So every robot but the last gets
-    contact proxies: copies of its links' collision shapes for each
-    `LinkMaterial` of the robots after it, which collide with those links only.
+    To be created after `DartRobot.load`; it adds bodies to the skeletons. A contact between links of two
+    robots has the product of their friction coefficients, which DART has no place for. So every robot but the
+    last gets contact proxies: copies of its links' collision shapes for each `LinkMaterial` of the robots
+    after it, which collide with those links only.
     """
 
     def __init__(
@@ -83,7 +82,7 @@ class CollisionFilter:
         """Enable collision between links of different robots, with the product of their coefficients."""
         outer = [
             {
-                material: [*filter(_has_collision_shape, bodies)]
+                material: [body for body in bodies if any(map(_collides, body.getShapeNodes()))]
                 for material, bodies in own.items()
                 if _collides_with_obstacles(material, robot)
             }
@@ -147,8 +146,8 @@ def _collides_with_obstacles(material: LinkMaterial, robot: DartRobot) -> bool:
     return material.role != "ground_link" or robot.spec.ground_links_meet_obstacles
 
 
-def _has_collision_shape(link: Any) -> bool:
-    return any(node.hasCollisionAspect() for node in link.getShapeNodes())
+def _collides(node: Any) -> bool:
+    return bool(node.hasCollisionAspect())
 
 
 def _flatten(links: Links) -> list[Any]:
@@ -158,10 +157,6 @@ def _flatten(links: Links) -> list[Any]:
 def _add_contact_proxy(link: Any, friction: float) -> Any:
     """Weld a body with the link's collision shapes, and another friction coefficient, to the link."""
     proxy = weld_massless_body(link)
-    for node in link.getShapeNodes():
-        if node.hasCollisionAspect():
-            copy = proxy.createShapeNode(node.getShape())
-            copy.setRelativeTransform(node.getRelativeTransform())
-            copy.createCollisionAspect()
-            copy.createDynamicsAspect().setFrictionCoeff(friction)
+    for node in filter(_collides, link.getShapeNodes()):
+        add_shape(proxy, node.getShape(), friction).setRelativeTransform(node.getRelativeTransform())
     return proxy

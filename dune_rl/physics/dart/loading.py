@@ -31,10 +31,9 @@ def add_tyre_joint(wheel_joint: Element, root: Element) -> None:
 def add_slip_joint(wheel_joint: Element, root: Element) -> None:
     """Insert a joint that lets a wheel whose contact sticks move along its axle.
 
-    A sphere rolls sideways about an axis through its centre, so that only
-    friction along the axle turns it, and no normal force. Other shapes cannot
-    roll sideways: they slide along the axle. Either way the wheel's mass is
-    moved to the link that it is mounted on, which moves with the robot.
+    A sphere rolls sideways about an axis through its centre, so that only friction along the axle turns it,
+    and no normal force. Other shapes cannot roll sideways: they slide along the axle. Either way the wheel's
+    mass is moved to the link that it is mounted on, which moves with the robot.
     """
     rotation, position = _pose(wheel_joint)
     axle = rotation.apply(_axis(wheel_joint))

@@ -36,11 +36,10 @@ def has_driven_coupling(spec: RobotBody) -> bool:
 class Gears:
     """Keeps the angles of followers at their ratios to the leaders'.
 
-    After each physics step the skeleton `robot` gets the impulses that were
-    missing to keep the ratios, and the corresponding torques act in the steps
-    to come: under a constant load the missing impulses soon vanish. Servos
-    accept no external torque: for joints with a motor it has to be added to
-    the torque limits, which is equivalent.
+    After each physics step the skeleton `robot` gets the impulses that were missing to keep the ratios, and
+    the corresponding torques act in the steps to come: under a constant load the missing impulses soon
+    vanish. Servos accept no external torque: for joints with a motor it has to be added to the torque limits,
+    which is equivalent.
     """
 
     def __init__(
@@ -82,13 +81,11 @@ _MAX_ERROR_RAD = 2.5e-4
 class Differential:
     """Keeps the body of a skeleton at the mean angle of two arms; the second is a child of the first.
 
-    See `joints.chain_differential`. DART couples joints in one direction: the
-    follower reacts to the leader at once, and acts back on it a step later.
-    That is stable only if the follower is light. Compared with arms that stand
-    on the ground the body is: so the joint between the arms turns freely, and
-    a servo turns the body by half of its angle. After an impact on an arm,
-    which the servo cannot anticipate, the body lags by some milliradians; it
-    is then rotated by that much after the step.
+    See `joints.chain_differential`. DART couples joints in one direction: the follower reacts to the leader
+    at once, and acts back on it a step later. That is stable only if the follower is light. Compared with
+    arms that stand on the ground the body is: so the joint between the arms turns freely, and a servo turns
+    the body by half of its angle. After an impact on an arm, which the servo cannot anticipate, the body lags
+    by some milliradians; it is then rotated by that much after the step.
     """
 
     def __init__(self, robot: Any, coupling: Coupling, timestep_s: float) -> None:

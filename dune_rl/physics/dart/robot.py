@@ -201,12 +201,10 @@ _CORNER_M = 0.02
 class CornerContacts:
     """Adds small cubes to the corners of boxes that touch one of the bodies `grounds`.
 
-    DART's detector finds one contact point between a box and a triangle of a
-    mesh, another one in each step, and keeps none: on large triangles a box
-    rocks on points that appear and vanish, and sinks by centimetres a second,
-    in the end through the ground. A cube in each corner has contact points
-    that persist. As each costs a microsecond a step, boxes get them only when
-    they touch ground.
+    DART's detector finds one contact point between a box and a triangle of a mesh, another one in each step,
+    and keeps none: on large triangles a box rocks on points that appear and vanish, and sinks by centimetres
+    a second, in the end through the ground. A cube in each corner has contact points that persist. As each
+    costs a microsecond a step, boxes get them only when they touch ground.
     """
 
     def __init__(self, robots: Sequence[DartRobot], grounds: Sequence[Any]) -> None:

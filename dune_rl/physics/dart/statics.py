@@ -50,11 +50,10 @@ def tyre_materials(robots: Sequence[DartRobot]) -> list[LinkMaterial]:
 class StaticGeometry:
     """All static bodies, in one skeleton.
 
-    DART has one friction coefficient per shape, not per pair. So each static
-    body is present several times: ground once for the ground links of each
-    robot and once for each hull friction, obstacles once for each
-    `LinkMaterial` that collides with them; but those for tyres are present
-    only while they are near, see `set_tyre_obstacles`.
+    DART has one friction coefficient per shape, not per pair. So each static body is present several times:
+    ground once for the ground links of each robot and once for each hull friction, obstacles once for each
+    `LinkMaterial` that collides with them; but those for tyres are present only while they are near, see
+    `set_tyre_obstacles`.
     """
 
     def __init__(

@@ -72,14 +72,11 @@ _MAX_STIFFNESS_NPM, _MAX_DAMPING_NSPM = 2e5, 4e3
 class CompliantGround:
     """Compliance of the ground under each wheel, as motion of the wheel's tyre joint.
 
-    DART's contacts are rigid, and solved after the springs and dampers of
-    joints: with a spring, a wheel that lands stops alone while the body above
-    it moves on, and the lighter the wheel the softer the spring. So the tyre
-    joints become servos, which are solved together with contacts: the robot
-    lands as a whole, and rebounds by the restitution of its contacts, which
-    the servos reduce by some 0.1. Before each physics step a servo's command
-    is the speed of a spring and a damper under the wheel's load in the last
-    step.
+    DART's contacts are rigid, and solved after the springs and dampers of joints: with a spring, a wheel that
+    lands stops alone while the body above it moves on, and the lighter the wheel the softer the spring. So
+    the tyre joints become servos, which are solved together with contacts: the robot lands as a whole, and
+    rebounds by the restitution of its contacts, which the servos reduce by some 0.1. Before each physics step
+    a servo's command is the speed of a spring and a damper under the wheel's load in the last step.
 
     `wheels` are the ground links' bodies in the skeleton `robot`; the contacts
     of those without a tyre joint stay rigid. `softness` is the constraint
@@ -143,14 +140,12 @@ def _sprung_mass_kg(wheel: Any) -> float:
 class LateralSlip:
     """Lateral slip of wheels as motion of joints with dry friction; DART's contacts are isotropic.
 
-    A wheel's contact sticks, and the joint of `joints.add_slip_joint` slips at
-    the friction limit of the tyre along its axle, which is proportional to the
-    load in the step before. After each step the joint is set back to 0, as a
-    tyre that has slipped has no restoring force.
+    A wheel's contact sticks, and the joint of `joints.add_slip_joint` slips at the friction limit of the tyre
+    along its axle, which is proportional to the load in the step before. After each step the joint is set
+    back to 0, as a tyre that has slipped has no restoring force.
 
-    `feet` are the ground links' bodies in the skeleton `robot`; those without
-    such a joint are not changed. `share` is the friction along the axle over
-    that along the tread.
+    `feet` are the ground links' bodies in the skeleton `robot`; those without such a joint are not changed.
+    `share` is the friction along the axle over that along the tread.
     """
 
     def __init__(self, robot: Any, feet: Sequence[Any], share: float, timestep_s: float) -> None:
