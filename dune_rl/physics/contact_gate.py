@@ -14,19 +14,9 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import distance_transform_edt
 
 from dune_rl.geometry.arrays import Array
-from dune_rl.physics.gate_loops import (
-    FOUND_COLUMNS,
-    KINEMATIC_COLUMNS,
-    POSE_COLUMNS,
-    ROBOT_COLUMNS,
-    TYRE_COLUMNS,
-    find_boxes,
-    find_distance,
-    find_near,
-    measure_moves,
-)
+from dune_rl.physics import gate_loops
 from dune_rl.physics.process import share_by_identity
-from dune_rl.physics.robot_body import RobotBody, Tyre
+from dune_rl.physics.robot_body import RobotBody
 from dune_rl.physics.shapes import KinematicShape, StaticBody
 
 # Control steps for which surplus tyres stay active: a change costs about as much as two unneeded tyres in 30.
@@ -120,12 +110,12 @@ class ObstacleMap:
 
     def distance(self, x: float, y: float) -> float:
         """Lower bound [m] for a point, whose coordinates must be finite; inf without obstacles."""
-        return float(find_distance(*self.arrays, x, y))
+        return float(gate_loops.find_distance(*self.arrays, x, y))
 
     def bodies_near(self, x: float, y: float, distance_m: float) -> list[int]:
         """Numbers, among the statics, of obstacles with bounding boxes within a distance along x and y."""
         found = np.empty(len(self._numbers), np.int64)
-        count = find_boxes(self._boxes, x, y, distance_m, found)
+        count = gate_loops.find_boxes(self._boxes, x, y, distance_m, found)
         near: list[int] = self._numbers[found[:count]].tolist()
         return near
 
@@ -172,23 +162,22 @@ _CONTACT_MARGIN_M = 0.05
 
 
 class GatedRobot(Protocol):
-    """What the gate needs to know of a robot."""
+    """What the gate needs to know of a robot; for `body_state` see `PhysicsRobot`.
+
+    `reach_m` is the largest horizontal distance of any point of the robot, tyres included, from its position,
+    at any joint angles. External forces act on the base link, of `base_mass_kg`.
+    """
 
     @property
-    def reach_m(self) -> float:
-        """Largest horizontal distance of any point of the robot, tyres included, from its position, at any
-        joint angles.
-        """
+    def reach_m(self) -> float: ...
 
     @property
-    def base_mass_kg(self) -> float:
-        """Mass of the base link, on which external forces act."""
+    def base_mass_kg(self) -> float: ...
 
     def planar_motion(self) -> tuple[float, float, float]:
         """Position x, y [m] of the centre of mass, and speed [m/s] in all three directions."""
 
-    def body_state(self) -> tuple[float, ...]:
-        """See `PhysicsRobot`."""
+    def body_state(self) -> tuple[float, ...]: ...
 
 
 class ContactGate:
@@ -207,17 +196,16 @@ class ContactGate:
         self.obstacles = load_shared_map(statics)
         upright, leaning = ([shape.reach_m(lean) for shape in kinematics] for lean in (0.0, 1.0))
         self._reaches = np.column_stack([upright, np.subtract(leaning, upright)])
-        self._moves = np.zeros((len(kinematics), KINEMATIC_COLUMNS))
+        self._moves = np.zeros((len(kinematics), gate_loops.KINEMATIC_COLUMNS))
         most = max((len(body.tyres) for body in robots), default=0)
-        self._tyres = np.full((len(robots), most, TYRE_COLUMNS), np.nan)
+        self._tyres = np.full((len(robots), most, gate_loops.TYRE_COLUMNS), np.nan)
         for own, body in zip(self._tyres, robots, strict=True):
             for row, tyre in zip(own, body.tyres, strict=False):
-                row[:] = _dimensions(tyre)
+                arm, size = math.hypot(*tyre.position_b), math.hypot(tyre.radius_m, tyre.width_m / 2)
+                row[:] = *tyre.position_b, arm, size
         self.needed_tyres: list[frozenset[int]] = [frozenset()] * len(robots)
-        self._found, self._found_kinematics = (
-            np.zeros((len(robots), FOUND_COLUMNS)),
-            np.zeros(len(kinematics)),
-        )
+        self._found = np.zeros((len(robots), gate_loops.FOUND_COLUMNS))
+        self._found_kinematics = np.zeros(len(kinematics))
 
     def find_contacts(
         self,
@@ -242,12 +230,14 @@ class ContactGate:
             x, y, _, qx, qy, qz, qw, *_, wx, wy, wz = robot.body_state()
             motion = robot.planar_motion()
             rows.append((*motion, robot.reach_m, acceleration, x, y, qx, qy, qz, qw, wx, wy, wz))
-        old, new = (np.asarray(each, float).reshape(-1, POSE_COLUMNS) for each in (old_poses, new_poses))
-        measure_moves(old, new, self._reaches, self._moves)
+        old, new = (
+            np.asarray(each, float).reshape(-1, gate_loops.POSE_COLUMNS) for each in (old_poses, new_poses)
+        )
+        gate_loops.measure_moves(old, new, self._reaches, self._moves)
         found, near = self._found, self._found_kinematics
-        find_near(
+        gate_loops.find_near(
             *self.obstacles.arrays,
-            np.array(rows).reshape(-1, ROBOT_COLUMNS),
+            np.array(rows).reshape(-1, gate_loops.ROBOT_COLUMNS),
             self._tyres,
             self._moves,
             duration_s,
@@ -264,11 +254,6 @@ class ContactGate:
     def statics_near(self, robot: int) -> list[int]:
         """Numbers of the static bodies that a robot can touch, as of `find_contacts`: none of the others."""
         return self.obstacles.bodies_near(*self._found[robot, :3].tolist())
-
-
-def _dimensions(tyre: Tyre) -> tuple[float, ...]:
-    """See `TYRE_COLUMNS`."""
-    return *tyre.position_b, math.hypot(*tyre.position_b), math.hypot(tyre.radius_m, tyre.width_m / 2)
 
 
 @lru_cache(maxsize=1024)

@@ -87,11 +87,6 @@ class SceneSpec:
         """Body number of `robots[index]`."""
         return len(self.statics) + len(self.kinematics) + index
 
-    @property
-    def num_bodies(self) -> int:
-        """Number of bodies in the scene; body numbers are below it."""
-        return self.robot_number(len(self.robots))
-
 
 class PhysicsRobot(Protocol):
     """A robot in a scene."""

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Collection, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -160,7 +161,7 @@ def read_urdf_body(urdf: Path, variation: BodyVariation = AS_DESCRIBED) -> Eleme
     Raises PhysicsError if the file cannot be read, or the base is too light to move the centre of mass.
     """
     try:
-        root = _copy(_parse_cached(urdf, urdf.stat().st_mtime_ns))
+        root = deepcopy(_parse_cached(urdf, urdf.stat().st_mtime_ns))
     except (OSError, ParseError) as error:
         raise PhysicsError(f"cannot read {urdf}: {error}") from error
     if variation.keeps_masses:
@@ -197,13 +198,6 @@ def _parse_cached(urdf: Path, modified_ns: int) -> Element:
         if "://" not in name:
             mesh.set("filename", str((urdf.parent / name).resolve()))
     return root
-
-
-def _copy(element: Element) -> Element:
-    copied = Element(element.tag, dict(element.attrib))
-    copied.text = element.text
-    copied.extend([_copy(child) for child in element])
-    return copied
 
 
 def _base_link(root: Element, urdf: Path) -> Element:

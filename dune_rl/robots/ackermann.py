@@ -19,19 +19,6 @@ _STANDING_MPS = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class SteeringJoints:
-    """S joints that steer wheels, in the robot's frame.
-
-    `positions_b` (S, 2) [m] are x and y of their axes. Angles are positive to the left: a joint's angle is
-    `signs` (S,) times it, and `limits` (S, 2) [rad] are the lowest and the highest.
-    """
-
-    positions_b: Array
-    signs: Array
-    limits: Array
-
-
-@dataclass(frozen=True, eq=False)
 class SteeringGeometry:
     """Rigid body motion about a turning centre on the line x = `turning_x_m`, on which the axles that do not
     steer lie.
@@ -40,13 +27,18 @@ class SteeringGeometry:
     p = (x, y) relative to that point, a wheel's direction is atan(k x / (1 - k y)), so that all axles meet
     in the turning centre (Ackermann's condition).
 
+    The S steering joints turn about axes at `pivots_b` (S, 2) [m]. Angles are positive to the left: a joint's
+    angle is `signs` (S,) times it, and `limits` (S, 2) [rad] are the lowest and the highest.
+
     The D wheels with motors are the robot's first joints, and the steering joints those behind them.
     `wheel_pivots_b` (D, 2) [m] are their centres, or the axes of their steering joints, from which the wheels
     are `wheel_offsets_m` (D,) to the left along the axle; `steered` (D,) marks the latter.
     """
 
     turning_x_m: float
-    pivots: SteeringJoints
+    pivots_b: Array
+    signs: Array
+    limits: Array
     wheel_pivots_b: Array
     wheel_offsets_m: Array
     steered: Flags
@@ -67,7 +59,7 @@ class SteeringGeometry:
         """Largest curvature [1/m] of a turn to the left and to the right, by the steering limits."""
         lever, across = self._levers()
         found = []
-        for side, limits in ((1.0, self.pivots.limits), (-1.0, -self.pivots.limits[:, ::-1])):
+        for side, limits in ((1.0, self.limits), (-1.0, -self.limits[:, ::-1])):
             # In front of the axle wheels turn toward the centre, behind it away from it.
             angle = np.where(lever > 0.0, limits[:, 1], -limits[:, 0])
             tangent = np.tan(np.clip(angle, 0.0, np.deg2rad(85.0)))
@@ -81,8 +73,8 @@ class SteeringGeometry:
         lever, across = self._levers()
         bent = curvature[:, None]
         angles = np.arctan2(bent * lever, 1.0 - bent * across)
-        limits = self.pivots.limits
-        clipped: Array = np.minimum(np.maximum(angles, limits[:, 0]), limits[:, 1]) * self.pivots.signs
+        limits = self.limits
+        clipped: Array = np.minimum(np.maximum(angles, limits[:, 0]), limits[:, 1]) * self.signs
         return clipped
 
     def speed_ratios(self, curvature: Array) -> Array:
@@ -100,7 +92,7 @@ class SteeringGeometry:
         It is the inverse of `steering_angles`.
         """
         lever, across = self._levers()
-        tangent = np.tan(steering * self.pivots.signs)
+        tangent = np.tan(steering * self.signs)
         useful = np.abs(lever) > _NO_LEVER_M
         bent = tangent[:, useful] / (lever[useful] + across[useful] * tangent[:, useful])
         mean: Array = bent.mean(axis=1)
@@ -120,7 +112,7 @@ class SteeringGeometry:
         return np.stack([ahead, ahead * curvature], axis=1)
 
     def _levers(self) -> tuple[Array, Array]:
-        return self.pivots.positions_b[:, 0] - self.turning_x_m, self.pivots.positions_b[:, 1]
+        return self.pivots_b[:, 0] - self.turning_x_m, self.pivots_b[:, 1]
 
 
 class AckermannConf(Settings):

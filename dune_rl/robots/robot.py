@@ -14,8 +14,6 @@ from dune_rl.robots.settings import BatteryConf, MountsConf
 class BodyMotion(Protocol):
     """Input of a robot's own controller: twist and attitude of N bodies, without their positions.
 
-    `velocity_b` and `angular_b` (N, 3) [m/s, rad/s] are in the body frame, `roll_pitch_yaw` (N, 3) [rad].
-
     A controller uses nothing else of a robot's motion. The environment passes the true motion or, with
     `realism` of any sensor, the readings of odometry and IMU, with their faults, so that no controller has a
     channel that a real one lacks.

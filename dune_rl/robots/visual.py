@@ -14,7 +14,8 @@ from dune_rl.rendering.light import srgb_to_linear
 from dune_rl.rendering.moving_mesh import MovingMesh, PosedMesh, RayMesh
 from dune_rl.rendering.scenery import ColouredMesh, Segment, join_meshes
 from dune_rl.robots.urdf.meshes import UrdfMeshes, primitive_mesh
-from dune_rl.robots.urdf.model import Geometry, read_urdf
+from dune_rl.robots.urdf.model import Geometry
+from dune_rl.robots.urdf.reader import read_urdf
 
 _SECTIONS = 28
 _GREY = (0.6, 0.6, 0.6)

@@ -299,7 +299,7 @@ def test_a_control_rate_that_does_not_divide_is_refused(backend):
 def test_a_scene_without_robots_steps(backend):
     spec = SceneSpec((plane(),), (walker(),), (), timestep_s=TIMESTEP_S, solver_iterations=10)
     scene = backend(spec)
-    assert (len(scene.robots), spec.num_bodies) == (0, 2)
+    assert (len(scene.robots), spec.robot_number(0)) == (0, 2)
     scene.reset(np.zeros((1, 6)))
     step_scene(scene, 10, np.array([[0.1, 0.0, 0.0, 0.0, 0.0, 0.0]]))
     scene.step_passive(2)

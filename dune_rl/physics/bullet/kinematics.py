@@ -213,6 +213,11 @@ class BulletKinematics:
                 push.add(force_n * x / length, force_n * y / length, arm_x, arm_y, arm_m, *velocity)
 
     @property
+    def moves_any(self) -> bool:
+        """Whether any bodies move in this control step: those near robots."""
+        return bool(self._ways)
+
+    @property
     def are_pushing(self) -> bool:
         """Whether contact points were recorded since the last `yield_to_robots`."""
         return bool(self._pushes)

@@ -3,7 +3,6 @@
 import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 from dune_rl.core.errors import PhysicsError
 from dune_rl.geometry.arrays import Array
@@ -27,19 +26,6 @@ _MOST_VERTICES, _MOST_FACES = 131_072, 524_288 // 3
 
 # With more bodies than these one question about all is faster than one about each.
 _FEW_BODIES = 4
-
-
-class _BegunStep(NamedTuple):
-    """A control step of `substeps` physics steps.
-
-    `watched` are the robots that can touch anything, and the handles of what; `forces` [N] act on the robots
-    with these indices, and the kinematic bodies `near` a robot move.
-    """
-
-    substeps: int
-    watched: Sequence[tuple[BulletRobot, Sequence[int]]]
-    forces: Mapping[int, Sequence[float]]
-    near: Sequence[int]
 
 
 class BulletScene:
@@ -102,7 +88,9 @@ class BulletScene:
             for robot in spec.robots
         ]
         self._loaded: list[int] = []
-        self._begun = _BegunStep(0, (), {}, ())
+        # Physics steps, robots that can touch anything with handles of what, and external forces by robot.
+        self._begun: tuple[int, Sequence[tuple[BulletRobot, Sequence[int]]], Mapping[int, Sequence[float]]]
+        self._begun = 0, (), {}
         # What every physics step needs, so that its loops do not search the robots for it.
         motors = [robot.motors for robot in self.robots]
         self._stepwise_motors = [each for each in motors if not each.are_ideal]
@@ -159,22 +147,26 @@ class BulletScene:
             for index, (robot, is_exposed) in enumerate(zip(robots, exposed, strict=True))
             if is_exposed
         ]
-        self._begun = _BegunStep(count, watched, forces, near)
+        self._begun = count, watched, forces
 
     def finish_step(self) -> None:
-        begun = self._begun
-        if begun.watched or begun.forces:
-            self._step_watching(begun)
+        count, watched, forces = self._begun
+        if watched or forces:
+            self._step_watching(count, watched, forces)
         else:
-            for _ in range(begun.substeps):
+            for _ in range(count):
                 self._advance()
         for robot in self.robots:
             robot.end_step()
         self._kinematics.end_step()
 
-    def _step_watching(self, begun: "_BegunStep") -> None:
+    def _step_watching(
+        self,
+        substeps: int,
+        watched: Sequence[tuple[BulletRobot, Sequence[int]]],
+        forces: Mapping[int, Sequence[float]],
+    ) -> None:
         """Advance by a control step and read the contacts of the watched robots after each physics step."""
-        substeps, watched, forces, near = begun
         robots, kinematics = self.robots, self._kinematics
         for substep in range(1, substeps + 1):
             kinematics.move(substep / substeps)
@@ -183,7 +175,7 @@ class BulletScene:
             self._advance()
             for robot, handles in watched:
                 contacts = robot.record_contacts(handles)
-                if contacts and near:
+                if contacts and kinematics.moves_any:
                     kinematics.record_contacts(contacts, robot)
             if kinematics.are_pushing:
                 kinematics.yield_to_robots(1 / substeps, self._spec.timestep_s)

@@ -6,9 +6,9 @@ from itertools import combinations
 from typing import Any
 
 from dune_rl.physics.dart.kinematics import DartKinematics
-from dune_rl.physics.dart.loading import weld_massless_body
+from dune_rl.physics.dart.loading import add_shape, weld_massless_body
 from dune_rl.physics.dart.robot import DartRobot
-from dune_rl.physics.dart.statics import LinkMaterial, StaticGeometry, add_shape
+from dune_rl.physics.dart.statics import LinkMaterial, StaticGeometry
 from dune_rl.physics.dart.tyres import tyre_name
 
 Links = dict[LinkMaterial, list[Any]]

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.frames import wrap_angle
 from dune_rl.physics.dart.library import dartpy
-from dune_rl.physics.dart.loading import negligible_inertia, weld_massless_body
+from dune_rl.physics.dart.loading import add_shape, negligible_inertia, weld_massless_body
 from dune_rl.physics.dart.robot import DartRobot
-from dune_rl.physics.dart.statics import LinkMaterial, add_shape, obstacle_materials, tyre_materials
+from dune_rl.physics.dart.statics import LinkMaterial, obstacle_materials, tyre_materials
 from dune_rl.physics.interface import SceneSpec
 from dune_rl.physics.shapes import KINEMATIC_FRICTION, KinematicBox
 

@@ -230,6 +230,15 @@ def weld_massless_body(link: Any) -> Any:
     return body
 
 
+def add_shape(body: Any, shape: Any, friction: float, height_m: float = 0.0) -> Any:
+    """Add a collision shape with a friction coefficient to a body; returns its shape node."""
+    node = body.createShapeNode(shape)
+    node.createCollisionAspect()
+    node.createDynamicsAspect().setFrictionCoeff(friction)
+    node.setRelativeTranslation([0.0, 0.0, height_m])
+    return node
+
+
 # DART uses the smaller friction coefficient of the two shapes of a contact. The robot's is always larger,
 # so that the other shape's, which is the product of both bodies', is used.
 ROBOT_FRICTION = 1e3

@@ -11,6 +11,7 @@ import numpy as np
 from dune_rl.physics.dart.library import dartpy
 from dune_rl.physics.dart.loading import (
     ROBOT_FRICTION,
+    add_shape,
     has_only_spheres,
     load_template,
     measure_reach_m,
@@ -246,8 +247,6 @@ def _add_corner_cubes(body: Any, box: Any) -> None:
     edge = min(_CORNER_M, float(size.min()) / 2)
     cube = dartpy.dynamics.BoxShape([edge] * 3)
     for signs in product((-1.0, 1.0), repeat=3):
-        corner = body.createShapeNode(cube)
         to_corner = dartpy.math.Isometry3(np.eye(3), np.array(signs) * (size - edge) / 2)
+        corner = add_shape(body, cube, ROBOT_FRICTION)
         corner.setRelativeTransform(box.getRelativeTransform().multiply(to_corner))
-        corner.createCollisionAspect()
-        corner.createDynamicsAspect().setFrictionCoeff(ROBOT_FRICTION)

@@ -10,6 +10,7 @@ from dune_rl.geometry.arrays import Array
 from dune_rl.physics.dart.library import dartpy
 from dune_rl.physics.dart.loading import (
     ROBOT_FRICTION,
+    add_shape,
     is_open_surface,
     mesh_corners,
     parse_skeleton,
@@ -145,15 +146,6 @@ def _margin_m(only_spheres: bool) -> float:
 def terrain_friction(statics: Iterable[StaticBody]) -> float:
     """Friction coefficient of the ground, 1 if there is none."""
     return next((body.friction for body in statics if body.ground), 1.0)
-
-
-def add_shape(body: Any, shape: Any, friction: float, height_m: float = 0.0) -> Any:
-    """Add a collision shape with a friction coefficient to a body; returns its shape node."""
-    node = body.createShapeNode(shape)
-    node.createCollisionAspect()
-    node.createDynamicsAspect().setFrictionCoeff(friction)
-    node.setRelativeTranslation([0.0, 0.0, height_m])
-    return node
 
 
 class CollisionMeshes:

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from dune_rl.core.constants import GRAVITY_MPS2
 from dune_rl.physics.dart.library import dartpy
-from dune_rl.physics.dart.loading import ROBOT_FRICTION, SLIP, TYRE, weld_massless_body
+from dune_rl.physics.dart.loading import ROBOT_FRICTION, SLIP, TYRE, add_shape, weld_massless_body
 from dune_rl.physics.dart.motors import SERVO_SOFTNESS
 from dune_rl.physics.robot_body import RobotBody, Tyre
 
@@ -44,11 +44,9 @@ class TyreBodies:
     def _add(self, tyre: Tyre) -> None:
         body = weld_massless_body(self._robot.getBodyNode(tyre.link))
         body.setName(tyre_name(tyre))
-        node = body.createShapeNode(_shape(tyre))
         turn, _ = Rotation.align_vectors([tyre.axis], [[0.0, 0.0, 1.0]])
-        node.setRelativeTransform(dartpy.math.Isometry3(turn.as_matrix(), tyre.centre))
-        node.createCollisionAspect()
-        node.createDynamicsAspect().setFrictionCoeff(ROBOT_FRICTION)
+        pose = dartpy.math.Isometry3(turn.as_matrix(), tyre.centre)
+        add_shape(body, _shape(tyre), ROBOT_FRICTION).setRelativeTransform(pose)
 
 
 def _shape(tyre: Tyre) -> Any:

@@ -79,8 +79,3 @@ class UrdfConf(RobotSettings):
     hull_friction: float = Field(0.3, ge=0.0, le=3.0)
     mounts: UrdfMountsConf = UrdfMountsConf()
     battery: BatteryConf = BatteryConf(capacity_wh=100.0, idle_w=10.0, efficiency=0.7)
-
-    @property
-    def standing_height_m(self) -> float | None:
-        """None: unknown before the URDF is read."""
-        return None

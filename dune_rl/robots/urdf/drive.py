@@ -64,8 +64,8 @@ class DerivedDrive:
             lines.append(f"track for turns: {drive.effective_track_m:.3f} m")
         else:
             geometry = steering.geometry
-            lowest, highest = np.rad2deg([geometry.pivots.limits.min(), geometry.pivots.limits.max()])
-            wheelbase = float(np.ptp([*geometry.pivots.positions_b[:, 0], geometry.turning_x_m]))
+            lowest, highest = np.rad2deg([geometry.limits.min(), geometry.limits.max()])
+            wheelbase = float(np.ptp([*geometry.pivots_b[:, 0], geometry.turning_x_m]))
             lines += [
                 f"wheelbase: {wheelbase:.3f} m; steering: {lowest:.0f} to {highest:.0f} degrees",
                 f"smallest circle: radius {steering.turning_radius_m:.2f} m about x = "

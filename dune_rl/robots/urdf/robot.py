@@ -21,7 +21,8 @@ from dune_rl.robots.urdf.conf import UrdfConf
 from dune_rl.robots.urdf.drive import DerivedDrive, derive_drive
 from dune_rl.robots.urdf.layout import RobotLayout, find_layout
 from dune_rl.robots.urdf.meshes import RobotWarning, UrdfMeshes
-from dune_rl.robots.urdf.model import UrdfModel, read_urdf
+from dune_rl.robots.urdf.model import UrdfModel
+from dune_rl.robots.urdf.reader import read_urdf
 from dune_rl.robots.wheeled import WheeledRobot, wheel_motor
 
 _SCANNER_OVER_TOP_M = 0.05

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dune_rl.core.errors import RobotError
-from dune_rl.robots.ackermann import SteeringGeometry, SteeringJoints
+from dune_rl.robots.ackermann import SteeringGeometry
 from dune_rl.robots.urdf.conf import UrdfConf, UrdfDriveConf
 from dune_rl.robots.urdf.model import Joint, UrdfModel
 from dune_rl.robots.urdf.wheels import MIN_AXIS, Wheel, check_joint_names
@@ -196,11 +196,9 @@ def steering_geometry(
     ]
     return SteeringGeometry(
         turning_x_m=turning_x,
-        pivots=SteeringJoints(
-            positions_b=np.array(list(places.values())),
-            signs=np.array([np.sign(model.axis_b(joint)[2]) for joint in joints]),
-            limits=np.array([_limits(joint, conf, model) for joint in joints]),
-        ),
+        pivots_b=np.array(list(places.values())),
+        signs=np.array([np.sign(model.axis_b(joint)[2]) for joint in joints]),
+        limits=np.array([_limits(joint, conf, model) for joint in joints]),
         wheel_pivots_b=np.array(pivots_b),
         wheel_offsets_m=np.array(
             [wheel.centre_b[1] - pivot[1] for wheel, pivot in zip(driven, pivots_b, strict=True)]
