@@ -69,7 +69,7 @@ class Link:
 class Joint:
     """A joint whose `kind` is "fixed", "continuous", "revolute" or "prismatic".
 
-    `pose` (4, 4) is the child's in the parent's frame with the joint at zero, and `axis` (3,) a unit vector in
+    `pose` (4, 4) is the child's in the parent's frame with the joint at zero, `axis` (3,) a unit vector in
     the child's frame. `limits` are the lowest and the highest position [m or rad]. `effort` and `velocity`
     are None if the URDF has no limit; `mimic` is the name of the joint that this one follows, and the ratio
     of their angles.
