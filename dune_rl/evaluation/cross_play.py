@@ -89,7 +89,20 @@ def run_cross_play(out: Path, console: Console, processes: int | None = None) ->
     """Run what the cross-play in `out` lacks, write its matrix as CSV and picture, and show it."""
     populations = _read_record(out)["populations"]
     for one in populations:
-        _run_population(out, one, console, processes)
+        path = out / one["name"]
+        provenance = read_provenance(path)
+        if provenance.get("complete"):
+            continue
+        if one["kind"] == CHECKPOINT and sha256_of(Path(one["weights"])) != one["sha256"]:
+            raise ConfigError(
+                f"{one['weights']} has other weights than when the cross-play began; run it again"
+            )
+        plan = EvaluationPlan.of_settings(read_settings(path))
+        check_same_sources(plan, provenance, path)
+        console.print(f"Among {one['name']}", highlight=False, markup=False)
+        prepared = prepare_run(plan)
+        with ResultsFolder.reopen(path) as folder:
+            run_plan(plan, folder, prepared, console, processes or plan.conf.processes, resume=out)
     rows = []
     for one in populations:
         with (out / one["name"] / f"{SUMMARY}.csv").open(encoding="utf-8", newline="") as file:
@@ -119,35 +132,6 @@ def _read_record(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path / RECORD} names a folder outside of {path}; run the cross-play again")
     found: dict[str, Any] = content
     return found
-
-
-def _run_population(
-    out: Path, population: Mapping[str, Any], console: Console, processes: int | None
-) -> None:
-    path = out / population["name"]
-    provenance = read_provenance(path)
-    if provenance.get("complete"):
-        return
-    if population["kind"] == CHECKPOINT and sha256_of(Path(population["weights"])) != population["sha256"]:
-        raise ConfigError(
-            f"{population['weights']} has other weights than when the cross-play began; run it again"
-        )
-    plan = EvaluationPlan.of_settings(read_settings(path))
-    check_same_sources(plan, provenance, path)
-    console.print(f"Among {population['name']}", highlight=False, markup=False)
-    prepared = prepare_run(plan)
-    with ResultsFolder.reopen(path) as folder:
-        processes = processes or plan.conf.processes
-        try:
-            run_plan(plan, folder, prepared, console, processes, says_how_to_go_on=False)
-        except BaseException:
-            console.print(
-                f"Cut off among {population['name']}; go on with python -m dune_rl.evaluate resume={out}",
-                highlight=False,
-                markup=False,
-                soft_wrap=True,
-            )
-            raise
 
 
 def _show(rows: Sequence[Mapping[str, Any]], console: Console) -> None:

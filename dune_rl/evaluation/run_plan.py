@@ -1,6 +1,7 @@
 """Runs an evaluation into its folder, and shows its tables."""
 
 from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
 
 from rich.console import Console
 
@@ -39,13 +40,12 @@ def run_plan(
     runner: BlockRunner,
     console: Console,
     processes: int,
-    *,
-    says_how_to_go_on: bool = True,
+    resume: Path | None = None,
 ) -> None:
     """Run the episodes that `folder` lacks, write its tables and show them.
 
-    When it is interrupted, the rows of the finished episodes are written, and it says how to go on unless the
-    caller does.
+    When it is interrupted, the rows of the finished episodes are written, and it says how to go on: by
+    `resume`, or else by the folder.
     """
     agents = runner.agents
     has_runs = plan.conf.protocol is not None
@@ -54,9 +54,8 @@ def run_plan(
     def done() -> Collection[tuple[int, int]]:
         return finished_runs(plan, folder.finished.values()) if has_runs else folder.finished.keys()
 
-    blocks = missing_blocks(
-        len(plan.sources), plan.episodes, done(), 1 if has_runs else plan.scenes, processes
-    )
+    scenes = 1 if has_runs else plan.scenes
+    blocks = missing_blocks(len(plan.sources), plan.episodes, done(), scenes, processes)
     name = plan.sources[0].name if len(plan.sources) == 1 else f"{len(plan.sources)} policies"
     total = len(plan.sources) * plan.episodes
     try:
@@ -79,13 +78,9 @@ def run_plan(
             folder.discard()
             raise
         folder.write()
-        if says_how_to_go_on:
-            console.print(
-                f"Cut off after {len(done())} of {total} {unit}; go on with python -m dune_rl.evaluate "
-                f"resume={folder.path}",
-                highlight=False,
-                soft_wrap=True,
-            )
+        go_on = f"go on with python -m dune_rl.evaluate resume={resume or folder.path}"
+        cut_off = f"Cut off after {len(done())} of {total} {unit}; {go_on}"
+        console.print(cut_off, highlight=False, markup=False, soft_wrap=True)
         raise
     if not runner.env.is_closed:
         runner.close()
