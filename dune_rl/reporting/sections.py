@@ -14,7 +14,7 @@ from dune_rl.reporting.figures import aggregates
 from dune_rl.reporting.figures.distributions import distribution_metrics, draw_distributions
 from dune_rl.reporting.figures.failures import MOST_FAILURES, choose_failures, draw_failures, show_failures
 from dune_rl.reporting.figures.results import Results, axis_label, failures_of
-from dune_rl.reporting.figures.success import draw_success_by
+from dune_rl.reporting.figures.success import PROPERTIES, draw_success_by
 from dune_rl.reporting.figures.track_data import collect_tracks
 from dune_rl.reporting.figures.tracks import draw_tracks
 from dune_rl.reporting.figures.training import by_world, draw_training_curves
@@ -36,10 +36,6 @@ from dune_rl.reporting.tables import methods as method_tables
 from dune_rl.reporting.tables import runs as run_tables
 from dune_rl.reporting.tables.methods import PAPER_MEASURES
 
-_PROPERTIES = (
-    ("goal_distance_m", "the distance to the goal"),
-    ("slope_deg", "the steepest ground on the way to the goal"),
-)
 # The progress of an episode that is run again.
 _REPLAYED = 8.0
 
@@ -166,7 +162,7 @@ def _distributions(comparisons: Sequence[Comparison]) -> Iterator[Block]:
 
 def _difficulty(comparisons: Sequence[Comparison]) -> Iterator[Block]:
     rows = [row for one in comparisons for method in one.methods for row in method.rows]
-    for column, words in _PROPERTIES:
+    for column, (words, _) in PROPERTIES.items():
         if any(column in row for row in rows):
             yield FigureBlock(
                 f"success_by_{column}",

@@ -59,9 +59,8 @@ def estimate_metrics(rows: Sequence[Mapping[str, Any]]) -> dict[str, Estimate]:
     for measure in measures_of(list(rows[0])):
         values, counts = column(rows, measure.metric), measure.are_counts
         if measure.per is not None:
-            found[measure.name] = estimate_ratio(
-                values, column(rows, measure.per), clusters, are_counts=counts
-            )
+            divisors = column(rows, measure.per)
+            found[measure.name] = estimate_ratio(values, divisors, clusters, are_counts=counts)
         elif measure.is_share:
             found[measure.name] = estimate_proportion(values, clusters)
         else:

@@ -116,25 +116,20 @@ def _draw_depth(axes: Axes, reading: NDArray[Any], conf: Any, label: str) -> Non
     _draw_image(axes, reading, conf, label, title="depth", bar="m", shown=_ranges, cmap="magma_r", norm=norm)
 
 
-def _draw_segmentation(axes: Axes, reading: NDArray[Any], conf: Any, label: str) -> None:
-    _segments(axes, reading[..., 0], f"{label}, segments", "equal")
-
-
-def _segments(axes: Axes, segments: NDArray[Any], title: str, aspect: Any) -> None:
+def _draw_segments(
+    axes: Axes, reading: NDArray[Any], conf: Any, label: str, *, aspect: Any, step: int = 1
+) -> None:
+    segments = reading[:, ::step, 0]
     colours = ListedColormap([_SEGMENT_COLOURS[segment] for segment in Segment])
     axes.imshow(
         segments, cmap=colours, vmin=-0.5, vmax=len(Segment) - 0.5, interpolation="nearest", aspect=aspect
     )
-    _style(axes, title)
+    _style(axes, f"{label}, segments")
     present = [segment for segment in Segment if (segments == segment).any()]
     handles = [Patch(color=_SEGMENT_COLOURS[each], label=each.name.lower()) for each in present]
     axes.legend(
         handles=handles, loc="lower left", fontsize=7, framealpha=0.75, facecolor=_PAPER, labelcolor=_INK
     )
-
-
-def _draw_ring_segments(axes: Axes, reading: NDArray[Any], conf: Any, label: str) -> None:
-    _segments(axes, reading[:, ::-1, 0], f"{label}, segments", "auto")
 
 
 def _draw_height_scan(axes: Axes, reading: NDArray[Any], conf: Any, label: str) -> None:
@@ -209,7 +204,7 @@ _LABELS = {
 _PANELS: dict[tuple[str, str], Callable[..., None]] = {
     ("camera", "rgb"): partial(_draw_image, title="RGB, {conf.width} by {conf.height}"),
     ("camera", "depth"): _draw_depth,
-    ("camera", "segmentation"): _draw_segmentation,
+    ("camera", "segmentation"): partial(_draw_segments, aspect="equal"),
     ("camera", "normals"): partial(
         _draw_image, title="normals", shown=lambda reading, conf: np.clip((reading + 1.0) / 2.0, 0.0, 1.0)
     ),
@@ -224,7 +219,7 @@ _PANELS: dict[tuple[str, str], Callable[..., None]] = {
         _draw_image, title="intensity", bar="share returned", cmap="viridis",
         shown=lambda reading, conf: reading[:, ::-1, 0], aspect="auto",
     ),
-    ("lidar_3d", "segmentation"): _draw_ring_segments,
+    ("lidar_3d", "segmentation"): partial(_draw_segments, aspect="auto", step=-1),
     ("height_scan", ""): _draw_height_scan,
     ("depth_strip", ""): _draw_depth_strip,
 }  # fmt: skip

@@ -15,9 +15,13 @@ from dune_rl.reporting.rows import Row, column
 from dune_rl.statistics.intervals import Estimate, estimate_proportion
 from dune_rl.statistics.measures import cluster_rows
 
+# Properties of episodes: in words, and as the label of an axis.
 PROPERTIES = {
-    "goal_distance_m": "straight distance from start to goal [m]",
-    "slope_deg": "steepest ground on the straight line to the goal [°]",
+    "goal_distance_m": ("the distance to the goal", "straight distance from start to goal [m]"),
+    "slope_deg": (
+        "the steepest ground on the way to the goal",
+        "steepest ground on the straight line to the goal [°]",
+    ),
 }
 _MOST_BINS = 6
 # A bin has at least this share of the values.
@@ -85,7 +89,7 @@ def draw_success_by(results: Results, name: str = "goal_distance_m") -> Figure:
     bottom are the episodes in each bin (of one method, or of the smallest and the largest where methods
     differ). Bins are those of all panels.
     """
-    label = PROPERTIES.get(name, name.replace("_", " "))
+    _, label = PROPERTIES[name]
     shown = {
         cases: methods
         for cases, methods in results.items()

@@ -19,15 +19,8 @@ from dune_rl.geometry.arrays import Array
 from dune_rl.reporting.figures import style
 from dune_rl.reporting.figures.results import COLLISION, FAILURES, REACHED
 from dune_rl.reporting.figures.track_data import EpisodeTrack, TrackSite
+from dune_rl.visualization.site_map import layers
 from dune_rl.visualization.site_map.colours import rgb
-from dune_rl.visualization.site_map.layers import (
-    GroundGrid,
-    PropFootprints,
-    covered_by,
-    prop_footprints,
-    vegetation_props,
-    water_props,
-)
 from dune_rl.worlds.world import Rectangle, World
 
 # The lightness of viridis rises evenly.
@@ -50,21 +43,21 @@ class SiteGround:
 
     view: Rectangle
     picture: Array
-    footprints: Sequence[PropFootprints]
+    footprints: Sequence[layers.PropFootprints]
 
     @classmethod
     def of(cls, world: World, view: Rectangle) -> "SiteGround":
         """The ground of `world`, lit from the north-west; white beyond its edge."""
-        ground = GroundGrid.sample(world.terrain, view, _CELLS, _CELLS)
+        ground = layers.GroundGrid.sample(world.terrain, view, _CELLS, _CELLS)
         light = np.clip(0.93 + 0.28 * (np.clip(ground.shade, 0.2, 1.6) - 1.0), 0.55, 1.0)
         picture = np.repeat(light[..., None], 3, axis=2)
-        for props, colour in ((water_props(world), _WATER), (vegetation_props(world), _PLANTS)):
-            covered = covered_by(props, ground)
+        for props, colour in ((layers.water_props(world), _WATER), (layers.vegetation_props(world), _PLANTS)):
+            covered = layers.covered_by(props, ground)
             picture[covered] = 0.35 * picture[covered] + 0.65 * rgb(colour)
         xmin, xmax, ymin, ymax = world.extent
         across, up = (ground.x >= xmin) & (ground.x <= xmax), (ground.y >= ymin) & (ground.y <= ymax)
         picture[~(up[:, None] & across)] = 1.0
-        return cls(view, picture, prop_footprints(world, _KINDS))
+        return cls(view, picture, layers.prop_footprints(world, _KINDS))
 
     def draw(self, axes: Axes) -> None:
         """Draw it below everything else."""

@@ -17,17 +17,8 @@ from dune_rl.env.agent_group import AgentGroup
 from dune_rl.reporting.views.maps import goal_distance_m
 from dune_rl.reporting.views.tracks import TrackRecorder
 from dune_rl.tasks.spawn import Placement
-from dune_rl.visualization.site_map import colours
+from dune_rl.visualization.site_map import colours, panel
 from dune_rl.visualization.site_map.layers import obstacle_tints, prop_footprints
-from dune_rl.visualization.site_map.panel import (
-    MapContent,
-    Track,
-    draw_episodes,
-    draw_ground,
-    draw_props,
-    draw_region,
-    draw_tracks,
-)
 from dune_rl.worlds.world import Rectangle, World
 
 Picture = NDArray[np.uint8]
@@ -45,7 +36,7 @@ class _Episode:
 
     world: World
     placements: list[Placement]
-    tracks: list[Track]
+    tracks: list[panel.Track]
 
 
 class EvaluationTracks:
@@ -128,8 +119,8 @@ class EvaluationTracks:
         placements = {episode: self._seen[episode].placements for episode in episodes}
         content = replace(content, episodes=placements, tracks=tracks)
         axes.imshow(picture, extent=rectangle)
-        draw_tracks(axes, tracks, 1.8, marks=True)
-        draw_episodes(axes, content, side_in / (rectangle[1] - rectangle[0]), joined=False)
+        panel.draw_tracks(axes, tracks, 1.8, marks=True)
+        panel.draw_episodes(axes, content, side_in / (rectangle[1] - rectangle[0]), joined=False)
         axes.set_xlim(rectangle[:2])
         axes.set_ylim(rectangle[2:])
         reached = sum((track.ending or "").startswith("goal reached") for track in tracks)
@@ -140,11 +131,11 @@ class EvaluationTracks:
             x=0.01, fontsize=9, color=colours.INK, loc="left",
         )  # fmt: skip
 
-    def _draw_ground(self, world: World, side_in: float) -> tuple[Picture, Rectangle, MapContent]:
+    def _draw_ground(self, world: World, side_in: float) -> tuple[Picture, Rectangle, panel.MapContent]:
         """The picture of the region without episodes, rows from north to south, and where it is."""
         group = self._measured[0]
         assert group.setup.task is not None
-        content = MapContent(
+        content = panel.MapContent(
             world=world,
             spawner=group.spawners.of(world),
             max_slope_deg=group.setup.task.spawn.max_slope_deg,
@@ -158,9 +149,9 @@ class EvaluationTracks:
         figure = Figure((side_in, side_in), _DPI)
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
         axes.set_axis_off()
-        draw_ground(axes, content, rectangle, (side_in, side_in), _DPI)
-        draw_props(axes, content.footprints, obstacle_tints(content.footprints))
-        draw_region(axes, content.spawner.region, 1.5)
+        panel.draw_ground(axes, content, rectangle, (side_in, side_in), _DPI)
+        panel.draw_props(axes, content.footprints, obstacle_tints(content.footprints))
+        panel.draw_region(axes, content.spawner.region, 1.5)
         return _render(figure), rectangle, content
 
 
@@ -170,7 +161,7 @@ def _render(figure: Figure) -> Picture:
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
-def _add_legend(figure: Figure, tracks: Sequence[Track]) -> None:
+def _add_legend(figure: Figure, tracks: Sequence[panel.Track]) -> None:
     handles = [
         Line2D([], [], color=colour, marker=mark, markeredgecolor=colours.PAPER, label=ending)
         for ending in dict.fromkeys(track.ending for track in tracks if track.ending is not None)

@@ -104,15 +104,20 @@ def prop_footprints(world: World, most_kinds: int) -> list[PropFootprints]:
     for prop in world.props:
         if prop.solid:
             groups.setdefault((prop.drivable, prop.kind), []).append(prop)
-    projected = [_project(kind, drivable, props, world.terrain) for (drivable, kind), props in groups.items()]
-    footprints = [each for each in projected if len(each.triangles)]
-    footprints.sort(key=lambda each: (not each.drivable, -_area(each.triangles)))
-    obstacles = [each for each in footprints if not each.drivable]
-    if len(obstacles) > most_kinds:
-        largest, rest = obstacles[: most_kinds - 1], obstacles[most_kinds - 1 :]
-        triangles = np.concatenate([each.triangles for each in rest])
-        obstacles = [*largest, PropFootprints("other", triangles, drivable=False)]
-    return [*(each for each in footprints if each.drivable), *obstacles]
+    footprints = []
+    for (drivable, kind), props in groups.items():
+        corners = np.concatenate([prop.vertices[prop.faces] for prop in props])
+        triangles = clip_above_ground(corners, world.terrain)[..., :2]
+        # Vertical faces project to lines within the outline of the others.
+        flat = triangles[_areas(triangles) > _LEAST_AREA_M2]
+        if len(flat):
+            footprints.append(PropFootprints(kind, flat, drivable))
+    footprints.sort(key=lambda each: (not each.drivable, -_areas(each.triangles).sum()))
+    most = sum(each.drivable for each in footprints) + most_kinds
+    if len(footprints) > most:
+        rest = np.concatenate([each.triangles for each in footprints[most - 1 :]])
+        footprints[most - 1 :] = [PropFootprints("other", rest, drivable=False)]
+    return footprints
 
 
 def obstacle_tints(footprints: Sequence[PropFootprints]) -> dict[str, str]:
@@ -121,21 +126,9 @@ def obstacle_tints(footprints: Sequence[PropFootprints]) -> dict[str, str]:
     return dict(zip(kinds, colours.OBSTACLES, strict=False))
 
 
-def _project(kind: str, drivable: bool, props: Sequence[Prop], terrain: HeightField) -> PropFootprints:
-    corners = np.concatenate([prop.vertices[prop.faces] for prop in props])
-    triangles = clip_above_ground(corners, terrain)[..., :2]
-    # Vertical faces project to lines within the outline of the others.
-    flat = _areas(triangles) > _LEAST_AREA_M2
-    return PropFootprints(kind, triangles[flat], drivable)
-
-
 def _areas(triangles: Array) -> Array:
     a, b = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     return np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2
-
-
-def _area(triangles: Array) -> float:
-    return float(_areas(triangles).sum())
 
 
 def covered_by(props: Iterable[Prop], ground: GroundGrid) -> Flags:

@@ -10,17 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle as Box
 
-from dune_rl.visualization.site_map import colours
-from dune_rl.visualization.site_map.layers import (
-    GroundGrid,
-    PropFootprints,
-    SiteStatistics,
-    site_statistics,
-    slope_edges,
-    spawn_mask_below_props,
-    vegetation_props,
-    water_props,
-)
+from dune_rl.visualization.site_map import colours, layers
 from dune_rl.visualization.site_map.page import PageRectangle, draw_text, page_axes
 from dune_rl.visualization.site_map.panel import MapContent
 from dune_rl.worlds.world import World
@@ -36,22 +26,22 @@ _PASSAGE_CELLS = 200
 
 def slope_legend(max_slope_deg: float) -> Section:
     """Section of the slope classes."""
-    edges = slope_edges(max_slope_deg)
+    edges = layers.slope_edges(max_slope_deg)
     steps = zip(colours.SLOPES, edges, edges[1:], strict=False)
     entries = [(_filled_box(fill), f"{low:g} to {high:g}°") for fill, low, high in steps]
     too_steep = _striped_box(colours.TOO_STEEP, colours.TOO_STEEP_STRIPE)
     return "slope", [*entries, (too_steep, f"over {edges[-1]:g}°, too steep")]
 
 
-def prop_legend(world: World, footprints: Sequence[PropFootprints], tints: dict[str, str]) -> Section:
+def prop_legend(world: World, footprints: Sequence[layers.PropFootprints], tints: dict[str, str]) -> Section:
     """Section of the kinds of props; `tints` has the colours of obstacles."""
     fills = [
         (colours.DRIVABLE, f"{each.kind}, drivable") if each.drivable else (tints[each.kind], each.kind)
         for each in footprints
     ]
-    if water_props(world):
+    if layers.water_props(world):
         fills.append((colours.WATER, "water"))
-    if vegetation_props(world):
+    if layers.vegetation_props(world):
         fills.append(("#b0d0b0", "leaves, no obstacle"))
     if world.grass is not None:
         fills.append(("#cbdf9c", "tall grass"))
@@ -72,8 +62,8 @@ def episode_legend(content: MapContent) -> Section:
         dashed = partial(_draw_box, fill=False, edgecolor=edge, linewidth=1.2, linestyle=(0, (3, 1.5)))
         entries.append((dashed, f"others to choose: world.region={', '.join(others)}"))
     entries.append((_striped_box("#d9eff4", "#8fcfe0"), "positions they are drawn from"))
-    ground = GroundGrid.sample(content.world.terrain, spawner.region, _PASSAGE_CELLS, _PASSAGE_CELLS)
-    if spawn_mask_below_props(spawner, content.world, ground).any():
+    ground = layers.GroundGrid.sample(content.world.terrain, spawner.region, _PASSAGE_CELLS, _PASSAGE_CELLS)
+    if layers.spawn_mask_below_props(spawner, content.world, ground).any():
         entries.append((_striped_box(colours.OBSTACLES[0], colours.PASSAGE), "the same, below an object"))
     several = any(len(placements) > 1 for placements in content.episodes.values())
     start, goal = (partial(_draw_disc, face=face) for face in (colours.INK, colours.PAPER))
@@ -163,7 +153,7 @@ def draw_table(figure: Figure, content: MapContent, left: float, top: float) -> 
     """Draw the statistics of the world and of the region, the first line below `top` [in]."""
     free = content.spawner.free_space
     columns = [
-        site_statistics(content.world, free, each, content.max_slope_deg)
+        layers.site_statistics(content.world, free, each, content.max_slope_deg)
         for each in (content.world.extent, content.spawner.region)
     ]
     rights = (left + 2.75, left + 3.6)
@@ -184,7 +174,7 @@ def _side(metres: float) -> str:
     return f"{metres:.1f}".removesuffix(".0")
 
 
-STATISTICS_ROWS: tuple[tuple[str, Callable[[SiteStatistics], str]], ...] = (
+STATISTICS_ROWS: tuple[tuple[str, Callable[[layers.SiteStatistics], str]], ...] = (
     ("size", lambda f: f"{_side(f.width_m)} by {_side(f.depth_m)} m"),
     ("relief", lambda f: f"{f.relief_m:.2f} m"),
     ("slope, median", lambda f: f"{f.median_slope_deg:.1f}°"),

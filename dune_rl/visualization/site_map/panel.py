@@ -17,19 +17,7 @@ from scipy.ndimage import gaussian_filter
 
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.tasks.spawn import Placement, Spawner
-from dune_rl.visualization.site_map import colours
-from dune_rl.visualization.site_map.layers import (
-    SLOPE_CLASSES,
-    GroundGrid,
-    PropFootprints,
-    contour_levels,
-    covered_by,
-    slope_class,
-    spawn_mask,
-    spawn_mask_below_props,
-    vegetation_props,
-    water_props,
-)
+from dune_rl.visualization.site_map import colours, layers
 from dune_rl.worlds.world import Rectangle, World
 
 STRIPE_IN = 0.028
@@ -62,7 +50,7 @@ class MapContent:
     spawner: Spawner
     max_slope_deg: float
     goal_distance_m: float
-    footprints: Sequence[PropFootprints]
+    footprints: Sequence[layers.PropFootprints]
     paths: Sequence[Array] = ()
     episodes: dict[int, list[Placement]] = field(default_factory=dict)
     tracks: Sequence[Track] = ()
@@ -72,28 +60,28 @@ class MapContent:
 _PASSAGE_OPACITY, _PASSAGE_STRIPES = 0.4, 3.2
 
 
-def render_ground(content: MapContent, ground: GroundGrid, stripe_px: float) -> Array:
+def render_ground(content: MapContent, ground: layers.GroundGrid, stripe_px: float) -> Array:
     """Colours (rows, columns, 3) of the ground in sRGB: slope, shading, spawn cells, plants and water."""
     picture = slope_colours(ground, content.max_slope_deg, stripe_px)
     up, across = np.ogrid[: len(ground.y), : len(ground.x)]
-    chosen = content.spawner.free_space.values_at(spawn_mask(content.spawner), ground.points)
+    chosen = content.spawner.free_space.values_at(layers.spawn_mask(content.spawner), ground.points)
     _blend(picture, chosen, colours.SPAWN, 0.16)
     _blend(picture, chosen & _stripes(across - up, 1.6 * stripe_px), colours.SPAWN, 0.30)
     return shade_ground(picture, content.world, ground)
 
 
-def slope_colours(ground: GroundGrid, max_slope_deg: float, stripe_px: float) -> Array:
+def slope_colours(ground: layers.GroundGrid, max_slope_deg: float, stripe_px: float) -> Array:
     """Colours (rows, columns, 3) in sRGB of the slopes of the ground, with stripes where it is too steep."""
     palette = np.array([colours.rgb(c) for c in (*colours.SLOPES, colours.TOO_STEEP)])
-    classes = slope_class(ground.slope, max_slope_deg)
+    classes = layers.slope_class(ground.slope, max_slope_deg)
     picture = palette[classes]
     up, across = np.ogrid[: classes.shape[0], : classes.shape[1]]
-    striped = (classes == SLOPE_CLASSES) & _stripes(across + up, stripe_px)
+    striped = (classes == layers.SLOPE_CLASSES) & _stripes(across + up, stripe_px)
     picture[striped] = colours.rgb(colours.TOO_STEEP_STRIPE)
     return picture
 
 
-def shade_ground(picture: Array, world: World, ground: GroundGrid) -> Array:
+def shade_ground(picture: Array, world: World, ground: layers.GroundGrid) -> Array:
     """Colours (rows, columns, 3) of the ground with grass, light from the north-west, water and plants."""
     if world.grass is not None:
         _blend(picture, grass_mask(world, ground), colours.GRASS, 0.5)
@@ -101,14 +89,14 @@ def shade_ground(picture: Array, world: World, ground: GroundGrid) -> Array:
     light = np.clip(ground.shade, 0.0, 1.5)[..., None]
     picture *= 1.0 - 0.55 * np.maximum(1.0 - light, 0.0)
     picture += 0.8 * np.maximum(light - 1.0, 0.0) * (1.0 - picture)
-    _blend(picture, covered_by(water_props(world), ground), colours.WATER, 0.92)
-    _blend(picture, covered_by(vegetation_props(world), ground), colours.GREENERY, 0.38)
+    _blend(picture, layers.covered_by(layers.water_props(world), ground), colours.WATER, 0.92)
+    _blend(picture, layers.covered_by(layers.vegetation_props(world), ground), colours.GREENERY, 0.38)
     return picture
 
 
-def render_passages(content: MapContent, ground: GroundGrid, stripe_px: float) -> Array:
+def render_passages(content: MapContent, ground: layers.GroundGrid, stripe_px: float) -> Array:
     """Stripes (rows, columns, 4), sRGB and opacity, on spawn cells below props such as solar arrays."""
-    below = spawn_mask_below_props(content.spawner, content.world, ground)
+    below = layers.spawn_mask_below_props(content.spawner, content.world, ground)
     up, across = np.ogrid[: below.shape[0], : below.shape[1]]
     picture = np.zeros((*below.shape, 4))
     picture[..., :3] = colours.rgb(colours.PASSAGE)
@@ -116,7 +104,7 @@ def render_passages(content: MapContent, ground: GroundGrid, stripe_px: float) -
     return picture
 
 
-def grass_mask(world: World, ground: GroundGrid) -> Flags:
+def grass_mask(world: World, ground: layers.GroundGrid) -> Flags:
     """Mask (rows, columns) of the ground with tall grass."""
     assert world.grass is not None
     density = world.grass.density
@@ -140,7 +128,7 @@ def draw_ground(
 ) -> None:
     """Draw relief, slopes, contours, plants and water of `rectangle`, with one cell per pixel."""
     columns, rows = (max(2, round(side * dpi)) for side in size_in)
-    ground = GroundGrid.sample(content.world.terrain, rectangle, columns, rows)
+    ground = layers.GroundGrid.sample(content.world.terrain, rectangle, columns, rows)
     picture = render_ground(content, ground, STRIPE_IN * dpi)
     under = render_passages(content, ground, STRIPE_IN * dpi)
     for layer, order in ((picture, 0.0), (under, 3.0)):
@@ -154,10 +142,10 @@ def draw_contours(axes: Axes, world: World, rectangle: Rectangle, size_in: tuple
     """Draw the contour lines of `rectangle`, with their heights."""
     columns = _CONTOUR_COLUMNS
     rows = max(2, round(columns * size_in[1] / size_in[0]))
-    ground = GroundGrid.sample(world.terrain, rectangle, columns, rows)
+    ground = layers.GroundGrid.sample(world.terrain, rectangle, columns, rows)
     # Smoothed over the width of a line: smaller details cannot be drawn.
     height = gaussian_filter(ground.height, 1.5, mode="nearest")
-    levels = contour_levels(height)
+    levels = layers.contour_levels(height)
     if not len(levels):
         return
     lines = axes.contour(
@@ -183,7 +171,7 @@ def _metres(value: float) -> str:
     return f"{value + 0.0:.2f}".rstrip("0").rstrip(".").replace("-", "\N{MINUS SIGN}")
 
 
-def draw_props(axes: Axes, footprints: Sequence[PropFootprints], tints: dict[str, str]) -> None:
+def draw_props(axes: Axes, footprints: Sequence[layers.PropFootprints], tints: dict[str, str]) -> None:
     """Draw the props from above, each kind in its colour with a common outline."""
     for number, each in enumerate(footprints):
         fill = colours.DRIVABLE if each.drivable else tints[each.kind]
@@ -232,17 +220,11 @@ def draw_paths(axes: Axes, content: MapContent, width: float, closer: Rectangle 
     Paths within `closer`, which has a panel of its own, are left out.
     """
     for number, path in enumerate(content.paths):
-        if closer is not None and is_within(path, closer):
+        if closer is not None and ((path >= closer[::2]) & (path <= closer[1::2])).all():
             continue
         colour = colours.FAINT if content.tracks else colours.PATHS[number % len(colours.PATHS)]
         axes.plot(*path.T, color=colours.PAPER, linewidth=width + 0.9, alpha=0.7, zorder=4.2)
         axes.plot(*path.T, color=colour, linewidth=width, linestyle=(0, (4, 1.6)), zorder=4.3)
-
-
-def is_within(points: Array, rectangle: Rectangle) -> bool:
-    """Whether all `points` (P, 2) are in the rectangle (xmin, xmax, ymin, ymax)."""
-    limits = np.array(rectangle).reshape(2, 2)
-    return bool(((points >= limits[:, 0]) & (points <= limits[:, 1])).all())
 
 
 def draw_tracks(axes: Axes, tracks: Sequence[Track], width: float, marks: bool) -> None:
