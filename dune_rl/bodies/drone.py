@@ -48,7 +48,6 @@ class DroneConf(RectangularBody):
 
     @property
     def num_frames(self) -> int:
-        """Number of pictures of a quarter of a turn."""
         return 4
 
     @property
@@ -58,11 +57,9 @@ class DroneConf(RectangularBody):
 
     @property
     def flight(self) -> FlightBand:
-        """The heights that it flies at."""
         return FlightBand(self.altitude_m, self.min_altitude_m, self.max_altitude_m, self.room_below_m)
 
     def limits(self) -> MotionLimits:
-        """How it moves."""
         return MotionLimits(
             self.motion_model,
             self.speed_mps,

@@ -48,6 +48,7 @@ class PersonConf(BodySettings):
     clothes: Literal["alike", "mixed"] = "alike"
 
     kind: ClassVar[str] = "person"
+    is_round: ClassVar[bool] = True
     camera_height: ClassVar[float] = 0.93
 
     @model_validator(mode="after")
@@ -60,23 +61,15 @@ class PersonConf(BodySettings):
 
     @property
     def size_m(self) -> tuple[float, float, float]:
-        """Length, width and height [m]."""
         return 2 * self.radius_m, 2 * self.radius_m, self.height_m
 
     @property
     def num_frames(self) -> int:
-        """Number of pictures of a stride."""
         return 12 if self.looks == "figure" else 1
 
     @property
     def num_looks(self) -> int:
-        """Number of outfits."""
         return 1 if self.clothes == "alike" else len(_MIXED)
-
-    @property
-    def is_round(self) -> bool:
-        """A person's outline is a disc."""
-        return True
 
     @property
     def stride_m(self) -> float:
@@ -84,11 +77,9 @@ class PersonConf(BodySettings):
         return 0.8 * self.height_m
 
     def limits(self) -> MotionLimits:
-        """How it moves."""
         return MotionLimits(self.motion_model, self.speed_mps, self.max_turn_radps)
 
     def collision_shape(self, name: str) -> KinematicCapsule:
-        """The capsule that physics moves, called `name`."""
         return KinematicCapsule(name, self.radius_m, self.height_m, self.max_push_n)
 
     def picture(self, phase: float) -> ColouredMesh:

@@ -43,6 +43,8 @@ class BodySettings(Settings):
 
     kind: ClassVar[str] = "body"
     motion_model: ClassVar[MotionModelName] = "unicycle"
+    # Whether its outline in plan view is a disc, and not a rectangle.
+    is_round: ClassVar[bool] = False
     # Height of a camera over that of the body.
     camera_height: ClassVar[float] = 0.9
 
@@ -50,11 +52,6 @@ class BodySettings(Settings):
     def size_m(self) -> tuple[float, float, float]:
         """Length, width and height [m]."""
         raise NotImplementedError
-
-    @property
-    def is_round(self) -> bool:
-        """Whether its outline in plan view is a disc, and not a rectangle."""
-        return False
 
     @property
     def keep_out_radius_m(self) -> float:
@@ -150,7 +147,6 @@ class RectangularBody(BodySettings):
 
     @property
     def size_m(self) -> tuple[float, float, float]:
-        """Length, width and height [m]."""
         return self.length_m, self.width_m, self.height_m
 
 
@@ -219,7 +215,6 @@ class Quadruped(RectangularBody):
 
     @property
     def num_frames(self) -> int:
-        """Number of pictures of a stride."""
         return 12
 
     @property
@@ -234,7 +229,6 @@ class Quadruped(RectangularBody):
         return np.array([[along, aside], [along, -aside], [-along, aside], [-along, -aside]])
 
     def limits(self) -> MotionLimits:
-        """How it moves."""
         return MotionLimits(
             self.motion_model,
             self.speed_mps,

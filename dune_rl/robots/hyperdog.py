@@ -187,7 +187,6 @@ class HyperDogMountsConf(MountsConf):
 
     scanner_b: tuple[float, float, float] = (-0.04, 0.0, 0.1)
     camera_b: tuple[float, float, float] = (0.24, 0.0, 0.028)
-    camera_pitch_deg: float = Field(0.0, ge=-90.0, le=90.0)
     imu_b: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
@@ -217,7 +216,6 @@ class HyperDogConf(RobotSettings):
 
     @property
     def standing_height_m(self) -> float:
-        """Height of the origin over level ground."""
         return self.gait.height_m + _FOOT_RADIUS_M
 
 

@@ -34,7 +34,6 @@ class LeoDriveConf(SkidSteerConf):
     no_load_speed_radps: float | None = Field(9.4, gt=0.0)
     gear_friction_nm: float = Field(0.3125, ge=0.0)
     rotor_inertia_kgm2: float = Field(0.005, ge=0.0)
-    max_wheel_speed_radps: float | None = Field(None, gt=0.0)
 
 
 class LeoMountsConf(MountsConf):
@@ -65,7 +64,6 @@ class LeoRoverConf(RobotSettings):
 
     @property
     def standing_height_m(self) -> float:
-        """Height of the origin over level ground."""
         return LeoRover.description.standing_height_m
 
 

@@ -42,7 +42,6 @@ class RoverZeroConf(RobotSettings):
 
     @property
     def standing_height_m(self) -> float:
-        """Height of the origin over level ground."""
         return RoverZero.description.standing_height_m
 
 

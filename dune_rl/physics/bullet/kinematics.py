@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from dune_rl.geometry.arrays import Array
 from dune_rl.physics.bullet.client import pybullet
+from dune_rl.physics.bullet.robot import BulletRobot
 from dune_rl.physics.shapes import KINEMATIC_FRICTION, KinematicBox, KinematicShape
 
 # Between those of abdomen and thigh, 10 and 50 N/mm, in ISO/TS 15066. At 1 m/s the force grows by 100 N in a
@@ -70,13 +71,6 @@ _ASIDE_POSE = [0.0, 0.0, -1e4, 0.0, 0.0, 0.0]
 
 Triple = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
-
-
-class PushedRobot(Protocol):
-    """What a kinematic body needs to know of a robot that it pushes."""
-
-    def velocity_xy(self) -> tuple[float, float]:
-        """Present horizontal velocity [m/s]."""
 
 
 class BulletKinematics:
@@ -189,7 +183,7 @@ class BulletKinematics:
             position = x, y, z + self._centre_heights[index]
             pybullet.resetBasePositionAndOrientation(self.handles[index], position, attitude, self._client)
 
-    def record_contacts(self, contacts: Sequence[tuple[Any, ...]], robot: PushedRobot) -> None:
+    def record_contacts(self, contacts: Sequence[tuple[Any, ...]], robot: BulletRobot) -> None:
         """Take note of contact points of a robot in the last physics step, as PyBullet lists them."""
         velocity = None
         for contact in contacts:

@@ -1,8 +1,9 @@
 """Reader of URDFs: a fault is a `RobotError` that names the file, the element and the remedy."""
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
+from typing import TypeVar
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -15,6 +16,7 @@ from dune_rl.robots.urdf.model import Geometry, Inertial, Joint, Link, UrdfHints
 
 _KINDS = ("fixed", "continuous", "revolute", "prismatic")
 _XACRO = "xacro"
+Part = TypeVar("Part", Link, Joint)
 _MAX_BYTES = 16 * 2**20
 _MOST_LINKS = 500
 # Elements of a plugin that name joints: <left_joint>, <front_left_steering_joint>, <joint_name> and so on.
@@ -61,24 +63,23 @@ def _read_model(root: Element, path: Path) -> UrdfModel:
         for material in root.findall("material")
         if material.find("color") is not None
     }
-    links: dict[str, Link] = {}
-    for element in root.findall("link"):
-        link = _link(element, colours)
-        if link.name in links:
-            raise _FaultError(f"there are two links {printable(link.name)!r}; rename one.")
-        links[link.name] = link
+    links = _by_name("links", (_link(element, colours) for element in root.findall("link")))
     if not links:
         raise _FaultError("it has no links; a robot has one at least.")
     if len(links) > _MOST_LINKS:
         raise _FaultError(f"it has {len(links)} links, more than {_MOST_LINKS}; leave some out.")
-    joints: dict[str, Joint] = {}
-    for element in root.findall("joint"):
-        joint = _joint(element, links)
-        if joint.name in joints:
-            raise _FaultError(f"there are two joints {printable(joint.name)!r}; rename one.")
-        joints[joint.name] = joint
-    base = _base_of(links, list(joints.values()))
+    joints = _by_name("joints", (_joint(element, links) for element in root.findall("joint")))
+    base = _base_of(links, joints.values())
     return UrdfModel(path, root.get("name", "robot"), base, links, joints, _read_hints(root))
+
+
+def _by_name(kind: str, parts: Iterable[Part]) -> dict[str, Part]:
+    found: dict[str, Part] = {}
+    for part in parts:
+        if part.name in found:
+            raise _FaultError(f"there are two {kind} {printable(part.name)!r}; rename one.")
+        found[part.name] = part
+    return found
 
 
 def _link(element: Element, colours: Mapping[str, tuple[float, ...]]) -> Link:
@@ -131,7 +132,7 @@ def _joint(element: Element, links: dict[str, Link]) -> Joint:
     )
 
 
-def _base_of(links: dict[str, Link], joints: Sequence[Joint]) -> str:
+def _base_of(links: Collection[str], joints: Iterable[Joint]) -> str:
     parents: dict[str, str] = {}
     for joint in joints:
         if joint.child in parents:
