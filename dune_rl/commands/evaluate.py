@@ -29,15 +29,14 @@ def run(words: Sequence[str]) -> None:
     chosen = [key for key in ("verify", "resume") if override_value(parsed.overrides, key) is not None]
     if chosen:
         _run_on_folder(parsed, chosen[0])
-        return
-    conf = _compose(parsed)
-    if parsed.cfg:
-        command_line.print_settings(conf)
-        return
-    if conf.cross_play:
-        _cross_play(conf, command_line.config_folders(parsed))
-        return
-    _evaluate(conf)
+    elif parsed.cfg:
+        command_line.print_settings(_compose(parsed))
+    else:
+        conf = _compose(parsed)
+        if conf.cross_play:
+            _cross_play(conf, command_line.config_folders(parsed))
+        else:
+            _evaluate(conf)
 
 
 def _run_on_folder(parsed: Namespace, action: str) -> None:
@@ -102,19 +101,14 @@ def _saved_settings(overrides: Sequence[str]) -> Mapping[str, Any] | None:
     return saved
 
 
-def _plan(conf: EvaluateConf) -> "EvaluationPlan":
-    from dune_rl.evaluation.running import EvaluationPlan
-
-    return EvaluationPlan.of_settings(conf)
-
-
 def _evaluate(conf: EvaluateConf) -> None:
     # Only now, since loading PyTorch and the physics engine takes seconds.
     from dune_rl.evaluation.folder import ResultsFolder, check_free
     from dune_rl.evaluation.provenance import describe_provenance
     from dune_rl.evaluation.run_plan import prepare_run, run_plan
+    from dune_rl.evaluation.running import EvaluationPlan
 
-    plan = _plan(conf)
+    plan = EvaluationPlan.of_settings(conf)
     out = Path(conf.out) if conf.out else default_folder(plan)
     _check_writable(out)
     check_free(out, overwrite=conf.overwrite)
@@ -143,9 +137,10 @@ def _note_sites_of_training(conf: EvaluateConf, provenance: Mapping[str, Any]) -
 def _cross_play(conf: EvaluateConf, config_dirs: Sequence[str]) -> None:
     from dune_rl.evaluation.actor_populations import find_populations
     from dune_rl.evaluation.cross_play import begin_cross_play, run_cross_play
+    from dune_rl.evaluation.running import EvaluationPlan
 
     populations = find_populations(conf, config_dirs)
-    out = Path(conf.out) if conf.out else default_folder(_plan(conf))
+    out = Path(conf.out) if conf.out else default_folder(EvaluationPlan.of_settings(conf))
     _check_writable(out)
     begin_cross_play(conf, populations, out, overwrite=conf.overwrite)
     run_cross_play(out, command_line.make_console())
@@ -164,7 +159,7 @@ def _resume(path: Path, processes: int | None) -> None:
     provenance, conf = read_provenance(path), read_settings(path)
     if provenance.get("complete"):
         raise ConfigError(f"{path} is complete; there is nothing to resume")
-    plan = _plan(conf)
+    plan = EvaluationPlan.of_settings(conf)
     check_same_sources(plan, provenance, path)
     prepared = prepare_run(plan)
     with ResultsFolder.reopen(path) as folder:
@@ -174,10 +169,11 @@ def _resume(path: Path, processes: int | None) -> None:
 def _verify(path: Path, sample: int) -> None:
     from dune_rl.evaluation.folder import read_provenance, read_settings
     from dune_rl.evaluation.provenance import check_same_sources
+    from dune_rl.evaluation.running import EvaluationPlan
     from dune_rl.evaluation.verify import verify_folder
 
     provenance = read_provenance(path)
-    plan = _plan(read_settings(path))
+    plan = EvaluationPlan.of_settings(read_settings(path))
     check_same_sources(plan, provenance, path)
     verify_folder(path, plan, sample, command_line.make_console())
 

@@ -291,11 +291,14 @@ def test_the_check_takes_settings_as_command_lines_do(tmp_path, capsys):
     out = capsys.readouterr().out
     assert "torque of a wheel: 7.00 Nm, as set" in out and "inertial unit at (0.0, 0.0, 1.0)" in out
     for words, told in (
-        (["robot.drive.kind=tank"], r"robot.drive.kind: input should be 'auto', 'skid_steer' or 'ackermann'"),
+        (
+            ["robot.drive.kind=tank"],
+            "robot.drive.kind must be one of auto, skid_steer, ackermann (got 'tank')",
+        ),
         (["robot.drive.knd=auto"], "robot.drive.knd is not a setting; did you mean robot.drive.kind?"),
         (["robot.left_wheel=[a]"], "robot.left_wheel is not a setting; did you mean robot.left_wheels?"),
-        (["zzz=1"], "robot.zzz is not a setting; see conf/robot/urdf.yaml"),
-        (["robot.drive=3"], "robot.drive has settings of its own; write robot.drive.SETTING=VALUE"),
+        (["zzz=1"], "robot.zzz is not a setting; robot has name, "),
+        (["robot.drive=3"], "robot.drive must be a section with settings of its own (got 3)"),
         (["robot.left_wheels=[a"], "robot.left_wheels=[a: while parsing"),
         (["tank"], "usage: python -m dune_rl.robots FILE.urdf"),
     ):

@@ -1,5 +1,6 @@
 """Equal commands in both engines, and how far their results differ."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,32 +68,23 @@ def run_phases(world: str, engine: Engine, robot: str, scenes: int, seed: int) -
 
 def agreement_tables(robot: str, worlds: tuple[str, ...], scenes: int, seed: int) -> str:
     """Both engines' runs of a robot as two Markdown tables."""
-    heads = ("world", "phase", *(f"{what}, {engine}" for what in _UNITS for engine in OWN_ENGINES))
-    phases = [_row(heads), _row(["---"] * len(heads))]
-    ends = [
-        _row(("world", "free starts", "distance between ends, median / largest", "yaw between ends, median")),
-        _row(["---"] * 4),
-    ]
+    phases = [("world", "phase", *(f"{what}, {engine}" for what in _UNITS for engine in OWN_ENGINES))]
+    ends = [("world", "free starts", "distance between ends, median / largest", "yaw between ends, median")]
     for world in worlds:
         runs = {engine: run_phases(world, engine, robot, scenes, seed) for engine in OWN_ENGINES}
-        one, other = (runs[engine] for engine in OWN_ENGINES)
+        one, other = runs.values()
         # A robot that hits a wall in one engine and just passes it in the other says nothing about either.
         free = ~(one.had_contact | other.had_contact)
         if not free.any():
             continue
         for number, (name, _, share, _) in enumerate(PHASES):
-            cells = []
-            for what, unit in _UNITS.items():
-                for engine in OWN_ENGINES:
-                    value = _mean(what, runs[engine], free, number)
-                    is_defined = not np.isnan(value) and (what != "slip" or share != 0.0)
-                    cells.append(f"{value + 0.0:.3f}{unit}" if is_defined else "-")
-            phases.append(_row((world, name, *cells)))
+            values = {(what, run): _mean(what, runs[run], free, number) for what in _UNITS for run in runs}
+            phases.append((world, name, *(_cell(what, value, share) for (what, _), value in values.items())))
         apart = np.linalg.norm(one.final_pose[:, :3] - other.final_pose[:, :3], axis=1)[free]
         turned = np.abs(wrap_angle(one.final_pose[:, 3] - other.final_pose[:, 3]))[free]
         distances = f"{np.median(apart):.2f} m / {apart.max():.2f} m"
-        ends.append(_row((world, f"{free.sum()} of {scenes}", distances, f"{np.median(turned):.2f} rad")))
-    return "\n".join([*phases, "", *ends])
+        ends.append((world, f"{free.sum()} of {scenes}", distances, f"{np.median(turned):.2f} rad"))
+    return f"{_table(phases)}\n\n{_table(ends)}"
 
 
 _UNITS = {"speed": " m/s", "yaw rate": " rad/s", "slip": ""}
@@ -105,5 +97,11 @@ def _mean(what: str, run: EngineRun, free: Flags, phase: int) -> float:
     return float(speed if what == "speed" else run.yaw_rate[free, phase].mean())
 
 
-def _row(cells: tuple[str, ...] | list[str]) -> str:
-    return f"| {' | '.join(cells)} |"
+def _cell(what: str, value: float, share: float) -> str:
+    is_defined = not np.isnan(value) and (what != "slip" or share != 0.0)
+    return f"{value + 0.0:.3f}{_UNITS[what]}" if is_defined else "-"
+
+
+def _table(rows: Sequence[Sequence[str]]) -> str:
+    head, *others = rows
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *others))
