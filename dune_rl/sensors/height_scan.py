@@ -21,10 +21,8 @@ _HIGHEST_M = 1_000.0
 class HeightScanConf(SensorSettings):
     """Size and place of the grid, and what it shows.
 
-    `ahead_m` is the distance of the first row ahead of the robot's origin. Heights are clipped to `limit_m`
-    both ways. `source=solid` looks down from `above_m` over the ground on which the rover stands and sees
-    decks, walls and everything else that is solid and still; `source=terrain` tells the bare ground.
-    `standing_height_m` is that of the robot's origin over level ground, None the robot's own.
+    `source=solid` looks down from `above_m` over the ground on which the robot stands and sees decks, walls
+    and everything else that is solid and still.
     """
 
     from_carrier: ClassVar = {"standing_height_m": "standing_height_m"}

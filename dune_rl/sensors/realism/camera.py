@@ -28,13 +28,8 @@ class CameraRealismConf(RealismConf):
     """Faults of a camera's pictures and depth; segments and normals stay as they are.
 
     Each row of a picture is exposed for `shutter_s`, the lowest until now and the highest `readout_s` before
-    it (a rolling shutter). `gain` brightens it; with `auto_exposure_s` the gain follows, with that time
-    constant, what brings the picture's mean to 18 % of white times `gain`. `full_well_e` [electrons] is what
-    a white pixel holds at a gain of 1, which gives shot noise, and `read_noise_e` the noise of reading it.
-    `dirt` is the share of light that the worst of `smudges` smudges keeps off, elsewhere in each episode.
-    Depth z has noise of deviation `depth_noise_per_m` * z² and steps of `depth_quantum_m`; it is lost at
-    `depth_dropout` of the pixels, nearer than `depth_near_m` and farther than `depth_far_m`, and reads there
-    what it does where nothing is seen.
+    it (a rolling shutter). With `auto_exposure_s` the gain follows what brings the picture's mean to 18 % of
+    white times `gain`. Smudges lie elsewhere in each episode. Lost depth reads as where nothing is seen.
     """
 
     kind = "camera"

@@ -18,10 +18,9 @@ _FLAT = 0.1
 class LidarRealismConf(RealismConf):
     """Faults of each beam.
 
-    A range has noise of deviation `noise_m` + `noise_share` * range, and steps of `quantum_m`. `dropout` of
-    the beams return nothing. Of those that meet something head-on at `half_return_m`, half return; the share
-    falls with the light that comes back, which goes as reflectance * cos(slant) / range². `reflectance` is
-    relative to what `half_return_m` is stated for, one number between the two for each episode.
+    A range has noise of deviation `noise_m` + `noise_share` * range. The share of beams that return falls
+    with the light that comes back, which goes as reflectance * cos(slant) / range²; `half_return_m` is of
+    things that are met head-on.
     """
 
     kind = "lidar"

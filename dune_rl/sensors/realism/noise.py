@@ -25,10 +25,7 @@ _LEAST_COSINE = 0.1
 class NoiseConf(Settings):
     """Faults of one quantity, in its own unit (called u here); all are deviations, and 0 is none.
 
-    `noise_density` [u/√Hz] is white noise N, whatever the rate; `noise` [u] is white noise of each reading.
-    `bias` [u] is constant over an episode, `bias_instability` [u] is the floor of the Allan deviation that
-    data sheets state, given by a bias that wanders with `bias_correlation_s`, and `bias_walk` [u/s/√Hz] is
-    the random walk K that starts at 0 with an episode. `quantum` [u] is the step between two values.
+    The floor of the Allan deviation, `bias_instability`, is given by a bias that wanders.
     """
 
     wraps: ClassVar[bool] = False
