@@ -41,7 +41,10 @@ _RANGES = {
     "less_than": ("lt", "below"),
     "multiple_of": ("multiple_of", "a multiple of"),
 }
+# By the beginning of pydantic's name of an error.
 _KINDS = {
+    "string_too_short": "text that is not empty",
+    "missing": "a longer list",
     "int": "a whole number",
     "float": "a number",
     "finite_number": "a finite number",
@@ -164,10 +167,6 @@ def _requirement(detail: ErrorDetails) -> str | None:
         return f"a list of at least {context['min_length']}"
     if kind == "too_long":
         return f"a list of at most {context['max_length']}"
-    if kind == "string_too_short":
-        return "text that is not empty"
-    if kind == "missing":
-        return "a longer list"
     for prefix, words in _KINDS.items():
         if kind == prefix or kind.startswith(prefix + "_"):
             return words

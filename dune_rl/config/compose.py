@@ -190,7 +190,7 @@ def _finish(
     if request.has_scenario:
         given = set_in_python.get("world")
         group_options.drop_other_options(
-            data, {*request.named_in("world"), *(given if isinstance(given, Mapping) else ())}
+            data, {*request.overridden_keys("world"), *(given if isinstance(given, Mapping) else ())}
         )
     data = merge_nested(data, {name: value for name, value in changes.items() if name not in _GROUPS})
     faults = _request_faults(request, data, loader)
@@ -222,7 +222,7 @@ def _finish(
         return validate(model, shorthands.complete_sections(data), faults)
     except ConfigError as error:
         # Paths are named as they were written.
-        written = {} if request.named_in("agents") else origins
+        written = {} if request.overridden_keys("agents") else origins
         raise ConfigError(group_options.name_shorthands(str(error), written)) from None
 
 

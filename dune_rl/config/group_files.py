@@ -1,7 +1,8 @@
 """Files that agent groups read: trained policies and trajectories; and what to do where they are faulty."""
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 from dune_rl.config.agents import ResolvedGroup
@@ -15,6 +16,9 @@ from dune_rl.core.paths import conf_folder
 from dune_rl.core.suggestions import one_of
 from dune_rl.sensors.conf import observed_names
 from dune_rl.worlds.actor_trajectory import ActorTrajectory
+
+# The fault of a file that has policies of some groups, given them and its location; empty without one.
+_FindFault = Callable[[Sequence[str], str], str]
 
 
 def read_group_files(conf: EnvConf) -> dict[str, tuple[ActorTrajectory, ...]]:
@@ -30,9 +34,7 @@ def read_group_files(conf: EnvConf) -> dict[str, tuple[ActorTrajectory, ...]]:
 
 
 def check_group_files(conf: EnvConf) -> None:
-    """Raise as `read_group_files`, and for what a new training begins with; leave warnings to who reads the
-    files for use.
-    """
+    """Raise as `read_group_files`, and for what a new training begins with, but without warnings."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         _, faults = _read_trajectories(conf)
@@ -107,58 +109,46 @@ def _read_trajectories(conf: EnvConf) -> tuple[dict[str, tuple[ActorTrajectory, 
 def _controller_faults(conf: EnvConf) -> Iterator[str]:
     """A line or two for each scripted group that is to play a trained policy, and has none to play."""
     for group in conf.groups:
-        if isinstance(group.controller, FrozenPolicyConf):
+        policy = group.controller
+        if isinstance(policy, FrozenPolicyConf):
             settings = f"{conf.path_of(group.name)}.controller"
-            named = group.controller.group
-            fault = _why_not_played(
-                group.controller.checkpoint,
-                named or group.name,
-                f"Set {settings}.group to",
-                by_name=named is not None,
-            )
-            if fault:
-                yield f"{settings}.checkpoint: {fault}"
+            remedy, by_name = f"Set {settings}.group to", policy.group is not None
+            find = partial(_why_not_played, group=policy.group or group.name, remedy=remedy, by_name=by_name)
+            yield from _policy_fault(f"{settings}.checkpoint", policy.checkpoint, find)
 
 
 def _learning_faults(conf: EnvConf) -> Iterator[str]:
     """A line or two for each group of a training that is frozen on, or starts from, what is not there."""
     if not isinstance(conf, Conf):
         return
-    for group in conf.external_groups:
-        location = conf.learning.frozen(group.name)
-        if location is not None:
-            setting = f"learning.groups.{group.name}.frozen"
-            fault = _why_not_played(location, group.name, "Call the group")
-        else:
-            setting, fault = _why_not_started(conf, group.name)
-        if fault:
-            yield f"{setting}: {fault}"
-
-
-def _why_not_started(conf: Conf, group: str) -> tuple[str, str]:
-    """The setting from which `group` starts to learn, and why it cannot; empty where it can."""
-    setting, location = conf.learning.start_of(group)
-    if location is None:
-        return setting, ""
     from dune_rl.learning.learners import describe_missing_start
+
+    groups = [group.name for group in conf.external_groups]
+    for name in groups:
+        frozen = conf.learning.frozen(name)
+        setting, location = conf.learning.start_of(name)
+        find: _FindFault = partial(describe_missing_start, group=name, conf=conf.learning, groups=groups)
+        if frozen is not None:
+            setting, location = f"learning.groups.{name}.frozen", frozen
+            find = partial(_why_not_played, group=name, remedy="Call the group", by_name=False)
+        if location is not None:
+            yield from _policy_fault(setting, location, find)
+
+
+def _policy_fault(setting: str, location: str, find: _FindFault) -> Iterator[str]:
+    """What is wrong with the policies at `location`: `find` gets their groups, and the location."""
     from dune_rl.learning.saved_policies import read_policy_groups
 
     try:
-        trained, _ = read_policy_groups(Path(location))
+        fault = find(read_policy_groups(Path(location))[0], location)
     except CheckpointError as error:
-        return setting, str(error)
-    groups = [each.name for each in conf.external_groups]
-    return setting, describe_missing_start(trained, location, group, conf.learning, groups)
+        fault = str(error)
+    if fault:
+        yield f"{setting}: {fault}"
 
 
-def _why_not_played(location: str, group: str, remedy: str, *, by_name: bool = False) -> str:
-    """Why no policy in a file is that of `group`; empty where one is. Without `by_name`, one alone is."""
-    from dune_rl.learning.saved_policies import read_policy_groups
-
-    try:
-        trained, _ = read_policy_groups(Path(location))
-    except CheckpointError as error:
-        return str(error)
+def _why_not_played(trained: Sequence[str], location: str, group: str, remedy: str, by_name: bool) -> str:
+    """Why none of the policies `trained` is that of `group`; without `by_name`, a policy alone is."""
     if group in trained or (len(trained) == 1 and not by_name):
         return ""
     return (

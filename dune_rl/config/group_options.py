@@ -293,7 +293,7 @@ def change_saved_groups(
             section, *path = str(override.key_or_group).split(".")
             if section == "actors":
                 change_group(actors, path, override.value())
-    origins |= {f"agents.{name}": f"actors.{name}" for name in request.named_in("actors")}
+    origins |= {f"agents.{name}": f"actors.{name}" for name in request.overridden_keys("actors")}
     return {**robots, **actors}, origins
 
 

@@ -120,7 +120,7 @@ class ParsedOverrides:
     def has_scenario(self) -> bool:
         return any(each.key_or_group == SCENARIO for each in self.groups)
 
-    def named_in(self, section: str) -> set[str]:
+    def overridden_keys(self, section: str) -> set[str]:
         """The parts of a section that an override changes, such as the groups of `actors`."""
         keys = (str(override.key_or_group).split(".") for override in self.values)
         return {key[1] for key in keys if key[0] == section and len(key) > 1}

@@ -30,7 +30,8 @@ class SacConf(LearningConf):
     )
     learning_starts: int = Field(50_000, ge=0, description="frames before the first update")
     warm_up: Literal["random", "go_to_goal", "policy"] = Field(
-        "go_to_goal", description="who acts in them; policy: its own, with its noise, as with start_from"
+        "go_to_goal",
+        description="policy that acts in them; policy: its own, with its noise, as with start_from",
     )
     updates_per_frame: float = Field(0.0625, gt=0, description="gradient updates for each frame collected")
     batch_size: int = Field(512, ge=1)
