@@ -111,20 +111,36 @@ def find_near(
             if not np.hypot(x - disc[0], y - disc[1]) > disc[2] + room:
                 found_kinematics[body] = disc[3] = 1.0
     for one in range(len(robots)):
-        found_robots[one, 4] = 0.0
-        if found_robots[one, 3]:
-            found_robots[one, 4] = _find_tyres(
-                grid,
-                quarters,
-                robots,
-                one,
-                tyres[one],
-                kinematics,
-                duration_s,
-                margin_m,
-                found_robots,
-                found_kinematics,
-            )
+        own, robot = found_robots[one], robots[one]
+        own[4] = 0.0
+        x, y, qx, qy, qz, qw = robot[5], robot[6], robot[7], robot[8], robot[9], robot[10]
+        # A state that has diverged is near nothing.
+        if not own[3] or not np.isfinite(x + y + qx + qy + qz + qw):
+            continue
+        motion = _find_motion(robot, duration_s)
+        turn = np.sqrt(robot[11] ** 2 + robot[12] ** 2 + robot[13] ** 2) * duration_s
+        forward_x, forward_y = 1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qx * qy + qw * qz)
+        left_x, left_y = 2.0 * (qx * qy - qw * qz), 1.0 - 2.0 * (qx * qx + qz * qz)
+        up_x, up_y = 2.0 * (qx * qz + qw * qy), 2.0 * (qy * qz - qw * qx)
+        needed = 0
+        for tyre in range(tyres.shape[1]):
+            if np.isnan(tyres[one, tyre, 0]):
+                continue
+            ahead, aside, above = tyres[one, tyre, 0], tyres[one, tyre, 1], tyres[one, tyre, 2]
+            arm, size = tyres[one, tyre, 3], tyres[one, tyre, 4]
+            tyre_x = x + ahead * forward_x + aside * left_x + above * up_x
+            tyre_y = y + ahead * forward_y + aside * left_y + above * up_y
+            reach = size + motion + turn * arm + margin_m
+            meets = find_distance(grid, quarters, tyre_x, tyre_y) < reach
+            for body in range(len(kinematics)):
+                if found_kinematics[body]:
+                    body_x, body_y, room = _find_room(kinematics[body])
+                    meets = meets or np.hypot(tyre_x - body_x, tyre_y - body_y) < reach + room
+            for other in range(len(robots)):
+                apart = np.hypot(tyre_x - found_robots[other, 0], tyre_y - found_robots[other, 1])
+                meets = meets or (other != one and apart < reach + found_robots[other, 2])
+            needed |= int(meets) << tyre
+        own[4] = needed
 
 
 @compile_function
@@ -138,48 +154,3 @@ def _find_room(body: Any) -> Any:
     """Disc (x, y, radius) [m] that contains a body (KINEMATIC_COLUMNS) throughout a control step."""
     x, y = body[2], body[3]
     return x, y, body[4] + abs(x - body[0]) + abs(y - body[1])
-
-
-@compile_function
-def _find_tyres(
-    grid: Any,
-    quarters: Any,
-    robots: Any,
-    one: int,
-    tyres: Any,
-    kinematics: Any,
-    duration_s: float,
-    margin_m: float,
-    found_robots: Any,
-    found_kinematics: Any,
-) -> int:
-    """The tyres (T, TYRE_COLUMNS) of robot `one` that can touch anything, as bits."""
-    robot = robots[one]
-    x, y, qx, qy, qz, qw = robot[5], robot[6], robot[7], robot[8], robot[9], robot[10]
-    # A state that has diverged is near nothing.
-    if not np.isfinite(x + y + qx + qy + qz + qw):
-        return 0
-    motion = _find_motion(robot, duration_s)
-    turn = np.sqrt(robot[11] ** 2 + robot[12] ** 2 + robot[13] ** 2) * duration_s
-    forward_x, forward_y = 1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qx * qy + qw * qz)
-    left_x, left_y = 2.0 * (qx * qy - qw * qz), 1.0 - 2.0 * (qx * qx + qz * qz)
-    up_x, up_y = 2.0 * (qx * qz + qw * qy), 2.0 * (qy * qz - qw * qx)
-    needed = 0
-    for tyre in range(len(tyres)):
-        if np.isnan(tyres[tyre, 0]):
-            continue
-        ahead, aside, above = tyres[tyre, 0], tyres[tyre, 1], tyres[tyre, 2]
-        arm, size = tyres[tyre, 3], tyres[tyre, 4]
-        tyre_x = x + ahead * forward_x + aside * left_x + above * up_x
-        tyre_y = y + ahead * forward_y + aside * left_y + above * up_y
-        reach = size + motion + turn * arm + margin_m
-        meets = find_distance(grid, quarters, tyre_x, tyre_y) < reach
-        for body in range(len(kinematics)):
-            if found_kinematics[body]:
-                body_x, body_y, room = _find_room(kinematics[body])
-                meets = meets or np.hypot(tyre_x - body_x, tyre_y - body_y) < reach + room
-        for other in range(len(robots)):
-            apart = np.hypot(tyre_x - found_robots[other, 0], tyre_y - found_robots[other, 1])
-            meets = meets or (other != one and apart < reach + found_robots[other, 2])
-        needed |= int(meets) << tyre
-    return needed

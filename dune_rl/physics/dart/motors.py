@@ -81,7 +81,7 @@ _MAX_ERROR_RAD = 2.5e-4
 class Differential:
     """Keeps the body of a skeleton at the mean angle of two arms; the second is a child of the first.
 
-    See `joints.chain_differential`. DART couples joints in one direction: the follower reacts to the leader
+    See `loading.chain_differential`. DART couples joints in one direction: the follower reacts to the leader
     at once, and acts back on it a step later. That is stable only if the follower is light. Compared with
     arms that stand on the ground the body is: so the joint between the arms turns freely, and a servo turns
     the body by half of its angle. After an impact on an arm, which the servo cannot anticipate, the body lags

@@ -12,7 +12,7 @@ from dune_rl.physics.dart.loading import ROBOT_FRICTION, SLIP, TYRE, add_shape, 
 from dune_rl.physics.dart.motors import SERVO_SOFTNESS
 from dune_rl.physics.robot_body import RobotBody, Tyre
 
-# The compliance of a wheel's contact has the ending `joints.TYRE`, on its joint.
+# The compliance of a wheel's contact has the ending `TYRE`, on its joint.
 _ENDING = "/tyre shape"
 # With so many, the radius of a rover's tyre varies by 0.4 mm.
 _SPHERES = 32
@@ -138,7 +138,7 @@ def _sprung_mass_kg(wheel: Any) -> float:
 class LateralSlip:
     """Lateral slip of wheels as motion of joints with dry friction; DART's contacts are isotropic.
 
-    A wheel's contact sticks, and the joint of `joints.add_slip_joint` slips at the friction limit of the tyre
+    A wheel's contact sticks, and the joint of `loading.add_slip_joint` slips at the tyre's limit of friction
     along its axle, which is proportional to the load in the step before. After each step the joint is set
     back to 0, as a tyre that has slipped has no restoring force.
 
