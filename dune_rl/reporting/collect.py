@@ -133,7 +133,6 @@ def _tell_apart(comparisons: Sequence[Comparison]) -> None:
 
 
 def _difference(same: Sequence[Comparison]) -> str:
-    """In what the cases of these comparisons differ."""
     if same[0].cases.set_name:
         sums = ", ".join(one.cases.checksum[:_SHOWN_OF_SUM] or "unknown" for one in same)
         return f"the set's episodes are not the same (checksums {sums})"

@@ -22,6 +22,7 @@ class TextBlock:
     text: str
     items: Sequence[str] | None = None
     warning: bool = False
+    heading: str = ""
     kind: str = "text"
 
 
@@ -69,15 +70,7 @@ class FigureBlock:
         return self.width_in > _COLUMN_IN
 
 
-@dataclass(frozen=True)
-class HeadingBlock:
-    """A heading below that of the section."""
-
-    text: str
-    kind: str = "heading"
-
-
-Block = TextBlock | TableBlock | FigureBlock | HeadingBlock
+Block = TextBlock | TableBlock | FigureBlock
 
 
 @dataclass

@@ -13,7 +13,7 @@ from dune_rl.reporting.comparison import Comparison, EvaluatedPolicy, files_of
 from dune_rl.reporting.figures import aggregates
 from dune_rl.reporting.figures.distributions import distribution_metrics, draw_distributions
 from dune_rl.reporting.figures.failures import MOST_FAILURES, choose_failures, draw_failures, show_failures
-from dune_rl.reporting.figures.results import Results, axis_label, failures_of
+from dune_rl.reporting.figures.results import Results, all_rows, axis_label, failures_of
 from dune_rl.reporting.figures.success import PROPERTIES, draw_success_by
 from dune_rl.reporting.figures.track_data import collect_tracks
 from dune_rl.reporting.figures.tracks import draw_tracks
@@ -23,7 +23,6 @@ from dune_rl.reporting.output import ReportProgress
 from dune_rl.reporting.page import (
     Block,
     FigureBlock,
-    HeadingBlock,
     Section,
     TableBlock,
     TextBlock,
@@ -235,9 +234,8 @@ def _failures(comparisons: Sequence[Comparison], most: int, progress: ReportProg
 def _aggregates(findings: Findings) -> Iterator[Block]:
     # Of sampled episodes each would be a unit of its own, with a score of 0 or 1.
     results = shared_results([one for one in findings.comparisons if one.cases.set_name])
-    rows = [row for each in results.values() for found in each.values() for row in found]
     # Of a single set the main table says as much.
-    if len(results) < 2 or not any("success" in row for row in rows):
+    if len(results) < 2 or not any("success" in row for row in all_rows(results)):
         return
     scores = aggregates.collect_scores(results, trained_groups(findings))
     sources = files_of(one for one in findings.comparisons if one.cases.title in results)
@@ -313,16 +311,13 @@ def _sweeps(findings: Findings) -> Iterator[Block]:
 
 
 def _files(sections: Sequence[Section]) -> Iterator[Block]:
-    """The names of the files in tables/ and figures/, beside the page, and what they show."""
     tables, figures = tables_of(sections), figures_of(sections)
     if tables:
-        yield HeadingBlock("Tables")
         yield TextBlock(
             "Each in tables/ as .tex (booktabs), .md and .csv; the last has all digits.",
             [f"{table.name}: {table.title}" for table in tables],
+            heading="Tables",
         )
     if figures:
-        yield HeadingBlock("Figures")
-        yield TextBlock(
-            "Each in figures/ as .png and .pdf.", [f"{figure.name}: {figure.title}" for figure in figures]
-        )
+        names = [f"{figure.name}: {figure.title}" for figure in figures]
+        yield TextBlock("Each in figures/ as .png and .pdf.", names, heading="Figures")

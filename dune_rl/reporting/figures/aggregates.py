@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from dune_rl.metrics.catalogue import format_range
 from dune_rl.reporting.figures import style
-from dune_rl.reporting.figures.results import Results
+from dune_rl.reporting.figures.results import Results, all_rows
 from dune_rl.reporting.rows import column
 from dune_rl.statistics.aggregates import (
     Scores,
@@ -61,8 +61,7 @@ def collect_scores(results: Results, runs: Mapping[str, str] | None = None) -> M
         for method, by_cases in grouped.items()
     }
     count = format_range([len(values) for each in scores.values() for values in each.values()])
-    rows = [row for methods in results.values() for rows in methods.values() for row in rows]
-    sites = np.isfinite(column(rows, "world_seed")).all()
+    sites = np.isfinite(column(all_rows(results), "world_seed")).all()
     kind = "runs" if by_run else "sites" if sites else "sites or episodes"
     return MethodScores(scores, f"{count} {kind} on {len(results)} set{'s' if len(results) > 1 else ''}")
 

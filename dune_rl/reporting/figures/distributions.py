@@ -13,6 +13,7 @@ from dune_rl.geometry.arrays import Array
 from dune_rl.reporting.figures import style
 from dune_rl.reporting.figures.results import (
     Results,
+    all_rows,
     axis_label,
     method_names,
     name_panels,
@@ -36,7 +37,7 @@ _LEAST_FOR_DENSITY = 4
 
 def distribution_metrics(results: Results) -> list[str]:
     """Metrics worth a figure: the default ones that some episode has a value of."""
-    rows = [row for methods in results.values() for rows in methods.values() for row in rows]
+    rows = all_rows(results)
     return [name for name in DEFAULT_METRICS if np.isfinite(column(rows, name)).any()]
 
 
@@ -48,8 +49,8 @@ def draw_distributions(results: Results, metric: str) -> Figure:
     to a goal that was not reached, are left out; the numbers on the right are those drawn, of all.
     """
     names = method_names(results)
-    rows = [row for methods in results.values() for rows in methods.values() for row in rows]
-    if not names or not np.isfinite(column(rows, metric)).any():
+    values = column(all_rows(results), metric)
+    if not names or not np.isfinite(values).any():
         return style.note_figure(f"no episode has a value of {metric}")
     styles = style.method_styles(names)
     with rc_context(style.RC):
@@ -57,7 +58,7 @@ def draw_distributions(results: Results, metric: str) -> Figure:
         for axes, (title, methods) in zip(grid, results.items(), strict=True):
             _panel(axes, methods, metric, styles)
             axes.set_title(title, loc="left")
-        _limit(grid[0], column(rows, metric))
+        _limit(grid[0], values)
         for axes in grid[::across]:
             axes.set_yticks(range(len(names)), style.short_names(names))
         grid[0].set_ylim(len(names) - 0.45, -0.55)

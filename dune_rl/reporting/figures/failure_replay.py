@@ -108,7 +108,6 @@ def replay_failures(
 def _replay(
     plan: EvaluationPlan, failures: Sequence[Failure], size: tuple[int, int], progress: Callable[[], None]
 ) -> None:
-    """Run the batches of the plan that have the failures."""
     try:
         runner = BlockRunner(plan)
     except (DuneError, OSError, ValueError) as error:

@@ -21,6 +21,11 @@ def method_names(results: Results) -> list[str]:
     return list(dict.fromkeys(name for methods in results.values() for name in methods))
 
 
+def all_rows(results: Results) -> list[Row]:
+    """The rows of all methods on all cases."""
+    return [row for methods in results.values() for rows in methods.values() for row in rows]
+
+
 def axis_label(metric: str) -> str:
     """What a metric is, with its unit; shares are of 1, not in per cent."""
     measure = _MEASURES.get(metric) or Measure(metric, metric)

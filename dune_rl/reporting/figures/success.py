@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from dune_rl.geometry.arrays import Array
 from dune_rl.reporting.figures import style
-from dune_rl.reporting.figures.results import Results, method_names, name_panels
+from dune_rl.reporting.figures.results import Results, all_rows, method_names, name_panels
 from dune_rl.reporting.rows import Row, column
 from dune_rl.statistics.intervals import Estimate, estimate_proportion
 from dune_rl.statistics.measures import cluster_rows
@@ -95,11 +95,11 @@ def draw_success_by(results: Results, name: str = "goal_distance_m") -> Figure:
         for cases, methods in results.items()
         if any(np.isfinite(column(rows, name)).any() for rows in methods.values())
     }
-    all_rows = [row for methods in shown.values() for rows in methods.values() for row in rows]
-    if not shown or not np.isfinite(column(all_rows, "success")).any():
+    rows = all_rows(shown)
+    if not shown or not np.isfinite(column(rows, "success")).any():
         missing = "success" if shown else name
         return style.note_figure(f"no episode has {missing}: evaluate again with this version")
-    values = column(all_rows, name)
+    values = column(rows, name)
     if np.nanmax(values) - np.nanmin(values) < _LEAST_RANGE:
         return style.note_figure(f"{label}: {np.nanmax(values):.3g} in all episodes")
     styles = style.method_styles(method_names(shown))

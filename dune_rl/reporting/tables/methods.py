@@ -218,7 +218,6 @@ def _intervals(comparison: Comparison) -> str:
 
 
 def _why_no_p(one: PairedComparison) -> str:
-    """Why a pair has no p-value; nothing where it has one."""
     if not math.isnan(one.p_value):
         return ""
     return "no pairs" if one.measure.per is None else "ratio by 0"
@@ -238,17 +237,13 @@ def _estimate(measure: Measure, method: str, estimates: Mapping[str, Mapping[str
 
 
 def _data(comparison: Comparison, measures: Sequence[str]) -> list[Mapping[str, object]]:
-    """A line for each method and measure that it has."""
     return [
         {
             "cases": comparison.cases.title,
             "method": method,
             "measure": name,
             "unit": "" if measure_of(name).unit == "%" else measure_of(name).unit,
-            "value": estimate.value,
-            "low": estimate.low,
-            "high": estimate.high,
-            "count": estimate.count,
+            **{key: getattr(estimate, key) for key in ("value", "low", "high", "count")},
         }
         for method, found in comparison.estimates.items()
         for name, estimate in found.items()
