@@ -6,7 +6,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pydantic import Field
+from pydantic import Field, ValidationError
 
 from dune_rl.commands import command_line
 from dune_rl.core.errors import ConfigError
@@ -43,9 +43,13 @@ def parse_words(words: Sequence[str]) -> tuple[list[Path], ReportConf]:
     values = {key: text for key, _, text in (word.partition("=") for word in words if word not in folders)}
     if "into" not in values and not folders:
         raise ConfigError("name the folders of runs or evaluations: python -m dune_rl.report runs/NAME")
-    from dune_rl.config.checks import validate
+    try:
+        conf = ReportConf.model_validate(values)
+    except ValidationError:
+        # Only for its sentences: it takes a second to load.
+        from dune_rl.config.checks import validate
 
-    conf = validate(ReportConf, values)
+        conf = validate(ReportConf, values)
     others = [*folders, *(key for key in values if key != "into")]
     if conf.into is not None and others:
         raise ConfigError(
