@@ -56,6 +56,7 @@ class RayScene:
         if faces.min() < 0 or faces.max() >= len(vertices):
             raise ValueError(f"faces must index vertices from 0 to {len(vertices) - 1}")
         self.num_faces = len(faces)
+        self._heights = float(vertices[:, 2].min()), float(vertices[:, 2].max())
         self.handle = build_scene(vertices, faces)
         weakref.finalize(self, release_scene, self.handle)
 
@@ -119,8 +120,14 @@ class RayScene:
         )
         return hit.range, hit.normal
 
-    def topmost(self, xy: Array, top_m: float, reach_m: float) -> Array:
-        """Heights (N,) [m] of the first surface below `top_m` at points (N, 2), -inf beyond `reach_m`."""
+    def topmost(self, xy: Array, top_m: float | None = None, reach_m: float | None = None) -> Array:
+        """Heights (N,) [m] of the first surface below `top_m` at points (N, 2), -inf beyond `reach_m`.
+
+        By default, all surfaces are between these.
+        """
+        low, high = self._heights
+        top_m = high + 1.0 if top_m is None else top_m
+        reach_m = top_m - low + 1.0 if reach_m is None else reach_m
         origins = np.column_stack([xy, np.full(len(xy), top_m)])
         hit, _ = self.first_hit(origins, np.broadcast_to([0.0, 0.0, -1.0], origins.shape), reach_m)
         return np.where(hit < reach_m, top_m - hit, -np.inf)

@@ -3,7 +3,6 @@
 import csv
 import io
 import json
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from xml.sax.saxutils import escape, quoteattr
@@ -93,13 +92,11 @@ def json_text(actor: ActorTrajectory) -> str:
 
 def write_trajectory(path: Path, actor: ActorTrajectory, appearance: Appearance) -> None:
     """Write the trajectory as the ending of `path` says: .sdf, .csv or .json."""
-    texts: dict[str, Callable[[], str]] = {
-        ".sdf": lambda: sdf_text(actor, appearance),
-        ".csv": lambda: csv_text(actor),
-        ".json": lambda: json_text(actor),
-    }
+    kind = path.suffix.lower()
+    others = {".csv": csv_text, ".json": json_text}
+    text = sdf_text(actor, appearance) if kind == ".sdf" else others[kind](actor)
     with write_atomically(path) as temporary:
-        temporary.write_text(texts[path.suffix.lower()](), encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8")
 
 
 def _format_rows(actor: ActorTrajectory, lift_m: float = 0.0) -> list[tuple[str, ...]]:

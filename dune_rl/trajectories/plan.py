@@ -43,9 +43,8 @@ def plan_on_ground(
     """
     closed = mode == "loop"
     check_way_points(world, waypoints, limits, closed=closed)
-    stations, xyz, stops = _sample_spline(
-        world, waypoints, spacing_m, closed=closed, every=pauses_s is not None
-    )
+    every = pauses_s is not None
+    stations, xyz, stops = _sample_spline(world, waypoints, spacing_m, closed=closed, every=every)
     check_stretches(world, xyz, stops, limits)
     pauses = np.zeros(len(waypoints)) if pauses_s is None else pauses_s
     visited = np.append(np.arange(len(waypoints)), 0) if closed else np.arange(len(waypoints))
@@ -58,9 +57,8 @@ def plan_on_ground(
     if mode != "once":
         # The first way-point is the last, too: it has one pause, before the start.
         held[-1] = 0.0
-    times, poses = _timed_poses(
-        stations / velocity, xyz, stops, held, round_trip=mode != "once", closed=closed
-    )
+    at_s, is_round = stations / velocity, mode != "once"
+    times, poses = _timed_poses(at_s, xyz, stops, held, round_trip=is_round, closed=closed)
     if len(times) > MOST_WAY_POINTS:
         raise WorldError(
             f"the trajectory has {len(times):,} poses, and a file at most {MOST_WAY_POINTS:,}: raise "
@@ -86,10 +84,8 @@ def _sample_spline(
     ]
     fine = np.append(np.concatenate(pieces), knots[-1])
     at_knots = np.concatenate([[0], np.cumsum([len(piece) for piece in pieces])])
-    travelled = np.concatenate(
-        [[0.0], np.linalg.norm(np.diff(_on_ground(world, spline(fine)), axis=0), axis=1)]
-    )
-    travelled = np.cumsum(travelled)
+    steps = np.linalg.norm(np.diff(_on_ground(world, spline(fine)), axis=0), axis=1)
+    travelled = np.cumsum(np.concatenate([[0.0], steps]))
     if travelled[-1] > MOST_WAY_POINTS * spacing_m:
         raise WorldError(
             f"the way is {travelled[-1]:,.0f} m long, and has at most {MOST_WAY_POINTS:,} poses: raise "

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Self, cast
+from typing import Any, Self
 
 import numpy as np
 from omegaconf import OmegaConf
@@ -26,7 +26,12 @@ from dune_rl.worlds.world import World
 
 _TEXTS = ("out", "picture", "name", "skin", "animation")
 _HINT = 'python -m dune_rl.trajectory world=inspection waypoints="[[0,0],[4,2]]" out=actor.sdf'
-_SDF = (".sdf", ".world")
+# The world that reads a file, by the file's ending.
+_IMPORTERS = {
+    **dict.fromkeys((".sdf", ".world"), "sdf"),
+    **dict.fromkeys(MESHES, "mesh"),
+    **dict.fromkeys(HEIGHT_MAPS, "heightmap"),
+}
 
 
 class PlanConf(TerrainLimits):
@@ -44,31 +49,22 @@ class PlanConf(TerrainLimits):
     def _plannable(self) -> Self:
         if not self.name.isprintable():
             raise ValueError("name must be of printable characters")
-        given = self.pauses_s if isinstance(self.pauses_s, tuple) else (self.pauses_s,)
-        if any(not 0.0 <= pause <= 1e5 for pause in given):
+        given, count = self.pauses_s, len(self.waypoints)
+        if any(not 0.0 <= pause <= 1e5 for pause in (given if isinstance(given, tuple) else (given,))):
             raise ValueError("pauses_s must be from 0 to 1e5 s")
-        if isinstance(self.pauses_s, tuple) and len(self.pauses_s) != len(self.waypoints):
+        if isinstance(given, tuple) and len(given) != count:
             raise ValueError(
-                f"pauses_s must be one number, or one for each way-point: {len(self.waypoints)} of them "
-                f"(got {len(self.pauses_s)})"
+                f"pauses_s must be one number, or one for each way-point: {count} of them (got {len(given)})"
             )
         return self
 
     def plan(self, world: World) -> ActorTrajectory:
         """The trajectory through `world`; raises `WorldError` where it cannot be walked."""
-        every = self.pauses_s
-        pauses = np.array(every) if isinstance(every, tuple) else np.full(len(self.waypoints), every)
-        return plan_on_ground(
-            world,
-            np.array(self.waypoints, np.float64).reshape(-1, 2),
-            velocity=self.velocity,
-            mode=self.mode,
-            pauses_s=pauses if pauses.any() else None,
-            delay_s=self.delay_s,
-            spacing_m=self.spacing_m,
-            limits=TerrainLimits(**{key: getattr(self, key) for key in TerrainLimits.model_fields}),
-            name=self.name,
-        )
+        pauses = np.broadcast_to(np.array(self.pauses_s, np.float64), len(self.waypoints))
+        own = self.model_dump(include={"velocity", "mode", "delay_s", "spacing_m", "name"})
+        limits = TerrainLimits(**self.model_dump(include=set(TerrainLimits.model_fields)))
+        points = np.array(self.waypoints, np.float64).reshape(-1, 2)
+        return plan_on_ground(world, points, pauses_s=pauses if pauses.any() else None, limits=limits, **own)
 
 
 class TrajectoryConf(PlanConf):
@@ -119,7 +115,7 @@ def parse_words(words: Sequence[str]) -> tuple[str, list[str], TrajectoryConf]:
             world_words.append(f"{key}={text}")
         else:
             # Paths and names are taken as they are, not parsed.
-            values[key] = text if key in _TEXTS else _parse(f"{key}={text}", key)
+            values[key] = text if key in _TEXTS else _parse(key, text)
     faults = [] if world else [f"choose a world: world=NAME or world=FILE, as in {_HINT}"]
     conf = validate(TrajectoryConf, values, faults)
     assert world is not None
@@ -138,12 +134,12 @@ def plan_in_world(
     return conf.plan(choose_world(world, overrides, config_dirs))
 
 
-def _parse(word: str, key: str) -> object:
+def _parse(key: str, text: str) -> object:
     try:
-        found = cast("dict[str, Any]", OmegaConf.to_object(OmegaConf.from_dotlist([word])))
+        found = OmegaConf.to_object(OmegaConf.from_dotlist([f"{key}={text}"]))
     except (OmegaConfBaseException, YAMLError, ValueError) as error:
-        raise ConfigError(f"cannot read {word!r}; write it as in {_HINT}") from error
-    return found.get(key)
+        raise ConfigError(f"cannot read {f'{key}={text}'!r}; write it as in {_HINT}") from error
+    return found.get(key) if isinstance(found, dict) else None
 
 
 def choose_world(
@@ -153,32 +149,22 @@ def choose_world(
 
     `overrides` are words such as `world.seed=3`. Raises `ConfigError` or `WorldError` for faults.
     """
-    words = list(overrides)
+    chosen = world
+    if isinstance(world, str):
+        path = Path(world).expanduser()
+        is_named = path.suffix.lower() in _IMPORTERS or "/" in world
+        if is_named or (path.exists() and world not in WORLDS.names()):
+            chosen = {"name": _importer_of(path), "path": world}
     # Actors have no say in where one may walk.
     settings = {"actors": "none"}
-    if isinstance(world, str) and _is_file(world):
-        kind = _option_of(Path(world).expanduser())
-        chosen: str | Mapping[str, Any] = {"name": kind, "path": world}
-    else:
-        chosen = world
-    return build_world(compose_environment(chosen, words, settings, config_dirs=config_dirs).world)
+    return build_world(compose_environment(chosen, list(overrides), settings, config_dirs=config_dirs).world)
 
 
-def _is_file(world: str) -> bool:
-    path = Path(world).expanduser()
-    is_named = path.suffix.lower() in (*_SDF, *MESHES, *HEIGHT_MAPS) or "/" in world
-    return is_named or (path.exists() and world not in WORLDS.names())
-
-
-def _option_of(path: Path) -> str:
-    kind = path.suffix.lower()
+def _importer_of(path: Path) -> str:
+    kind = ".sdf" if path.is_dir() else path.suffix.lower()
     if not path.exists():
         raise ConfigError(f"there is no file {path}: world=FILE must name one that exists")
-    if path.is_dir() or kind in _SDF:
-        return "sdf"
-    if kind in MESHES:
-        return "mesh"
-    if kind in HEIGHT_MAPS:
-        return "heightmap"
-    known = ", ".join((*_SDF, *MESHES, *HEIGHT_MAPS))
-    raise ConfigError(f"{path} is no world: {kind or 'no ending'} is none of {known}")
+    if kind not in _IMPORTERS:
+        known = ", ".join(_IMPORTERS)
+        raise ConfigError(f"{path} is no world: {kind or 'no ending'} is none of {known}")
+    return _IMPORTERS[kind]

@@ -13,7 +13,6 @@ from dune_rl.rendering.light import Light, LightConf, srgb_to_linear
 from dune_rl.rendering.scenery import BeamSurface, ColouredMesh, Scenery, Segment, join_meshes
 from dune_rl.rendering.weather import Haze, WeatherConf, weather_light
 from dune_rl.worlds.cache.folder import DiskCache
-from dune_rl.worlds.grass import Grass
 from dune_rl.worlds.ground_texture import ground_texture, ground_texture_from_picture
 from dune_rl.worlds.world import Prop, World
 
@@ -48,12 +47,10 @@ def _bake(world: World, key: Hashable, light: Callable[[], Light]) -> BakedScene
         cache.move_to_end(key)
         return cache[key]
     # Most of the time goes into what does not depend on the light.
-    other = next(iter(cache.values()), None)
-    cache[key] = (
-        BakedScenery(build_scenery(world), light(), world.disk_cached)
-        if other is None
-        else other.relight(light())
-    )
+    if other := next(iter(cache.values()), None):
+        cache[key] = other.relight(light())
+    else:
+        cache[key] = BakedScenery(build_scenery(world), light(), world.disk_cached)
     if len(cache) > _LIGHTS_CACHED:
         cache.popitem(last=False)
     return cache[key]
@@ -70,11 +67,17 @@ def is_appearance_cached(disk_cache: DiskCache) -> bool:
 
 
 def _ground_albedo(world: World) -> Floats:
+    look = world.terrain, world.ground, world.texture_seed
     if world.picture is None:
-        ground = ground_texture(world.terrain, world.ground, world.texture_seed, world.surfaces)
+        albedo = ground_texture(*look, world.surfaces)
     else:
-        ground = ground_texture_from_picture(world.terrain, world.ground, world.texture_seed, world.picture)
-    return ground if world.grass is None else _shade_by_grass(ground, world.grass)
+        albedo = ground_texture_from_picture(*look, world.picture)
+    if world.grass is None:
+        return albedo
+    # Grass absorbs light on its way to the ground.
+    rows, columns = albedo.shape[:2]
+    centres = cell_centres(world.terrain.extent, rows, columns).reshape(-1, 2)
+    return albedo * world.grass.foliage.shade(centres).reshape(rows, columns, 1)
 
 
 def with_own_sun(world: World, weather: WeatherConf) -> WeatherConf:
@@ -84,20 +87,11 @@ def with_own_sun(world: World, weather: WeatherConf) -> WeatherConf:
     return weather.model_copy(update={"light": world.light})
 
 
-def _shade_by_grass(albedo: Floats, grass: Grass) -> Floats:
-    """Ground albedo (rows, columns, 3), reduced by the light that the grass on it absorbs."""
-    rows, columns = albedo.shape[:2]
-    share = grass.foliage.shade(cell_centres(grass.terrain.extent, rows, columns).reshape(-1, 2))
-    return albedo * share.reshape(rows, columns, 1)
-
-
 def _coloured_mesh(prop: Prop) -> ColouredMesh:
     count = len(prop.faces)
     colours = np.array(prop.colour) if prop.face_colours is None else prop.face_colours
     albedo = np.broadcast_to(srgb_to_linear(colours), (count, 3))
-    return ColouredMesh(
-        prop.vertices, prop.faces, albedo, np.full(count, prop.segment_class, np.uint8), prop.texture
-    )
+    return ColouredMesh(*prop.mesh, albedo, np.full(count, prop.segment_class, np.uint8), prop.texture)
 
 
 def beam_surface(world: World) -> BeamSurface:

@@ -6,16 +6,13 @@ from functools import cached_property
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from dune_rl.core.seeding import stream
 from dune_rl.geometry.arrays import Array, Flags, Floats
-from dune_rl.geometry.heightfield import HeightField
+from dune_rl.geometry.heightfield import HeightField, cell_centres
 from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.foliage import Foliage
-from dune_rl.worlds.props import merge_meshes
-
-Mesh = tuple[Array, NDArray[np.int32]]
+from dune_rl.worlds.props import Mesh, merge_meshes
 
 _CELL_M = 0.25
 _MOST_CELLS = 1024
@@ -107,8 +104,8 @@ def _occupied_cells(terrain: HeightField, obstacles: Sequence[Mesh], rows: int, 
         return occupied
     xmin, xmax, ymin, ymax = terrain.extent
     # Vertical rays at twice the cells' resolution find volumes; points on all surfaces find thin walls.
-    x = xmin + (np.arange(2 * columns) + 0.5) * (xmax - xmin) / (2 * columns)
-    y = ymin + (np.arange(2 * rows) + 0.5) * (ymax - ymin) / (2 * rows)
+    centres = cell_centres(terrain.extent, 2 * rows, 2 * columns)
+    x, y = centres[0, :, 0], centres[:, 0, 1]
     near = np.zeros((2 * rows, 2 * columns), bool)
     for vertices, _ in obstacles:
         low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
@@ -117,21 +114,19 @@ def _occupied_cells(terrain: HeightField, obstacles: Sequence[Mesh], rows: int, 
             for k, axis in enumerate((x, y))
         )
         near[bottom:top, left:right] = True
-    row, column = np.nonzero(near)
-    below = np.column_stack([x[column], y[row]])
+    below = centres[near]
     origins = np.column_stack([below, terrain.height(below) - _CLEARED_BELOW_M]).astype(np.float32)
-    upward = np.zeros_like(origins)
-    upward[:, 2] = 1.0
+    upward = np.tile(np.array([0.0, 0.0, 1.0], np.float32), (len(below), 1))
     # Merged, since hundreds of small meshes take a hundred times as long.
     vertices, faces = merge_meshes(obstacles)
-    hit = RayScene(vertices, faces).hits(origins, upward, np.full(len(below), _HIGHEST_M, np.float32))
+    hit = RayScene(vertices, faces).hit_faces(origins, upward, np.full(len(below), _HIGHEST_M, np.float32))
     cell = min((xmax - xmin) / columns, (ymax - ymin) / rows)
     # Imported here: it takes half a second to load, and reading settings does not need it.
     import trimesh
 
     surface, _ = trimesh.remesh.subdivide_to_size(vertices, faces, cell, max_iter=20)
     above = surface[:, 2] > terrain.height(surface[:, :2]) - _CLEARED_BELOW_M
-    points = np.concatenate([below[hit.face >= 0], surface[above, :2]])
+    points = np.concatenate([below[hit >= 0], surface[above, :2]])
     column = ((points[:, 0] - xmin) * columns / (xmax - xmin)).astype(np.intp)
     row = ((points[:, 1] - ymin) * rows / (ymax - ymin)).astype(np.intp)
     occupied[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)] = True

@@ -71,10 +71,7 @@ def _height_of_first(meshes: list[tuple[Array, NDArray[np.int32]]], points: Arra
     """Height [m], (P,), of the highest surface of `meshes` at points (P, 2); -inf where there is none."""
     if not meshes:
         return np.full(len(points), -np.inf)
-    vertices, faces = merge_meshes(meshes)
-    top = float(vertices[:, 2].max()) + 1.0
-    reach = top - float(vertices[:, 2].min()) + 1.0
-    return RayScene(vertices, faces).topmost(points, top, reach)
+    return RayScene(*merge_meshes(meshes)).topmost(points)
 
 
 def _lattice(world: World) -> tuple[Array, Array, float]:

@@ -44,21 +44,18 @@ class SurfaceMap:
         grid = np.array(numbers)
         if grid.ndim != 2 or not grid.size or grid.dtype.kind not in "iu":
             raise ValueError(f"numbers must be a grid of whole numbers, not {grid.dtype} of {grid.shape}")
-        if grid.min() < 0 or grid.max() >= min(len(surfaces), 256):
-            raise ValueError(
-                f"numbers are from {grid.min()} to {grid.max()}, but there are {len(surfaces)} surfaces"
-            )
+        low, high = grid.min(), grid.max()
+        if low < 0 or high >= min(len(surfaces), 256):
+            raise ValueError(f"numbers are from {low} to {high}, but there are {len(surfaces)} surfaces")
         self.numbers: Numbers = grid.astype(np.uint8)
         self.numbers.flags.writeable = False
         self.extent = extent
         self.surfaces = tuple(surfaces)
         self.sinkage = sinkage
         xmin, xmax, ymin, ymax = extent
-        rows, columns = grid.shape
-        self._low = np.array([xmin, ymin])
-        self._per_m = np.array([columns / (xmax - xmin), rows / (ymax - ymin)])
-        self._last = np.array([columns - 1, rows - 1])
-        self._flat = self.numbers.ravel()
+        sides = np.array(grid.shape[::-1])
+        self._low, self._per_m = np.array([xmin, ymin]), sides / np.array([xmax - xmin, ymax - ymin])
+        self._last, self._flat = sides - 1, self.numbers.ravel()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -111,9 +108,9 @@ class Decks:
             origins = np.column_stack([xy[near], np.full(len(near), ceiling)]).astype(np.float32)
             down = np.tile(np.array([0.0, 0.0, -1.0], np.float32), (len(near), 1))
             reach = np.full(len(near), high[2] - low[2] + 2 * _CAST_M, np.float32)
-            hit = RayScene(deck.vertices, deck.faces).hits(origins, down, reach)
-            height = ceiling - hit.range.astype(np.float64)
-            above = (hit.face >= 0) & (height > top[near])
+            is_hit = RayScene(deck.vertices, deck.faces).hit_faces(origins, down, reach) >= 0
+            height = ceiling - reach.astype(np.float64)
+            above = is_hit & (height > top[near])
             top[near[above]] = height[above]
             if deck.number is not None:
                 numbers[near[above]] = deck.number
@@ -174,14 +171,13 @@ def _patches(terrain: HeightField, seed: int, parts: Sequence[SurfaceShare]) -> 
     )
     rng = stream(seed, "surfaces")
     sigma = (_PATCH_M / 4 * rows / (ymax - ymin), _PATCH_M / 4 * columns / (xmax - xmin))
+    noise = (
+        scipy.ndimage.gaussian_filter(rng.standard_normal((rows, columns)), sigma, mode="wrap") for _ in parts
+    )
     fields = np.stack(
         [
-            _standardise(
-                scipy.ndimage.gaussian_filter(rng.standard_normal((rows, columns)), sigma, mode="wrap")
-            )
-            + part.steep * slope
-            + part.high * height
-            for part in parts
+            _standardise(field) + part.steep * slope + part.high * height
+            for part, field in zip(parts, noise, strict=True)
         ]
     )
     shares = np.array([part.share for part in parts])

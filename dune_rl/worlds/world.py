@@ -1,7 +1,7 @@
 """A world: terrain, props on it, and queries about both."""
 
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
@@ -17,10 +17,10 @@ from dune_rl.rendering.scenery import Segment
 from dune_rl.worlds.actor_trajectory import ActorTrajectory
 from dune_rl.worlds.cache.folder import DiskCache
 from dune_rl.worlds.clearance import ClearanceField, NearestObstacle
+from dune_rl.worlds.fractal_terrain import RoughnessField
 from dune_rl.worlds.grass import Grass
 from dune_rl.worlds.ground_texture import MEADOW, GroundColours, GroundPicture
 from dune_rl.worlds.props import Mesh, merge_meshes
-from dune_rl.worlds.roughness_field import RoughnessField
 from dune_rl.worlds.surface_map import Deck, Decks, SurfaceMap
 from dune_rl.worlds.surfaces import SurfaceName
 
@@ -101,6 +101,7 @@ class SolidMesh(NamedTuple):
     owner: NDArray[np.int32]
 
 
+@dataclass(eq=False, repr=False)
 class World:
     """Terrain and props, with the queries that physics, sensors and tasks need.
 
@@ -114,37 +115,25 @@ class World:
     none. `trajectories` are those of the actors that a file brings along.
     """
 
-    disk_cache: DiskCache | None = None
+    name: str
+    terrain: HeightField
+    props: Sequence[Prop] = ()
+    _: KW_ONLY
+    region: Rectangle
+    friction: float = 1.0
+    ground: GroundColours = MEADOW
+    texture_seed: int = 0
+    grass: Grass | None = None
+    surfaces: SurfaceMap | None = None
+    picture: GroundPicture | None = None
+    light: LightConf | None = None
+    region_candidates: tuple[RegionCandidate, ...] = field(default=(), init=False)
+    trajectories: tuple[ActorTrajectory, ...] = field(default=(), init=False)
+    disk_cache: DiskCache | None = field(default=None, init=False)
     _clearance_class: ClassVar[type[ClearanceField]] = ClearanceField
-    region_candidates: tuple[RegionCandidate, ...] = ()
-    trajectories: tuple[ActorTrajectory, ...] = ()
 
-    def __init__(
-        self,
-        name: str,
-        terrain: HeightField,
-        props: Sequence[Prop] = (),
-        *,
-        region: Rectangle,
-        friction: float = 1.0,
-        ground: GroundColours = MEADOW,
-        texture_seed: int = 0,
-        grass: Grass | None = None,
-        surfaces: SurfaceMap | None = None,
-        picture: GroundPicture | None = None,
-        light: LightConf | None = None,
-    ) -> None:
-        self.name = name
-        self.terrain = terrain
-        self.props = tuple(props)
-        self.region = region
-        self.friction = friction
-        self.ground = ground
-        self.texture_seed = texture_seed
-        self.grass = grass
-        self.surfaces = surfaces
-        self.picture = picture
-        self.light = light
+    def __post_init__(self) -> None:
+        self.props = tuple(self.props)
 
     @cached_property
     def _memo(self) -> dict[Hashable, Any]:

@@ -99,7 +99,8 @@ class MeshPart:
         return replace(self, vertices=vertices, faces=faces, texture=texture)
 
     def select_faces(self, faces: NDArray[Any]) -> "MeshPart":
-        """Some faces, by indices or a mask, with the vertices they use: others may be NaN, or far away."""
+        """Some faces, given by indices or a mask, and the vertices that they use."""
+        # Unused vertices may be NaN, or far away.
         used, index = np.unique(self.faces[faces], return_inverse=True)
         return replace(
             self,

@@ -39,22 +39,21 @@ class ImportedGround(NamedTuple):
     """The ground of an imported world as a grid.
 
     `known` (rows, columns) marks heights that were sampled, not filled in; `colours` (rows, columns, 3) are
-    sRGB. `faces` (F,) marks the triangles of all parts, in their order, that belong to the ground. `picture`
-    has more detail than `colours`, None without textures.
+    sRGB, None if the file has none. `picture` has more detail than these, None without textures.
     """
 
     terrain: HeightField
     known: Flags
-    colours: Floats
-    faces: Flags
-    picture: GroundPicture | None
+    colours: Floats | None = None
+    picture: GroundPicture | None = None
 
 
 def extract_ground(
     parts: Sequence[MeshPart], spacing_m: float | None, report: ImportReport
-) -> ImportedGround:
+) -> tuple[ImportedGround, Flags]:
     """The ground of `parts`, sampled by vertical rays every `spacing_m`; None: chosen for its size.
 
+    Also returns a mask (F,) of the triangles of all parts, in their order, that belong to the ground.
     Connected triangles that face up and are not steep form a surface. The largest one without a surface of
     similar size below it is ground, and so is every other whose rim touches the ground, such as a mound or a
     road, or that has no ground below it. The rest stands on the ground or hangs above it. Parts that declare
@@ -81,7 +80,7 @@ def extract_ground(
     smooth = [fill_gaps(colours[..., channel].astype(np.float64), known) for channel in range(3)]
     colours = np.stack(smooth, axis=-1).astype(np.float32)
     picture = bake_ground_picture(soup, is_ground, terrain, colours)
-    return ImportedGround(terrain, known, colours, is_ground, picture)
+    return ImportedGround(terrain, known, colours, picture), is_ground
 
 
 def _join_triangles(parts: Sequence[MeshPart]) -> Triangles:
@@ -206,9 +205,7 @@ def _rims_on_ground(soup: Triangles, ground: Flags, probes: _Probes, count: int)
 
 def _topmost(soup: Triangles, faces: Flags, xy: Array) -> Array:
     """Height [m], (N,), of the topmost of the triangles in `faces` (F,) at points (N, 2); -inf for none."""
-    top = float(soup.vertices[:, 2].max()) + 1.0
-    far = top - float(soup.vertices[:, 2].min()) + 1.0
-    return RayScene(soup.vertices, soup.faces[faces]).topmost(xy, top, far)
+    return RayScene(soup.vertices, soup.faces[faces]).topmost(xy)
 
 
 def _warn_of_holes(soup: Triangles, ground: Flags, known: Flags, points: Array, report: ImportReport) -> None:

@@ -1,7 +1,7 @@
 """The heightmap world, built from a GeoTIFF, PNG or .npy file of heights."""
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
@@ -12,6 +12,7 @@ from dune_rl.core.untrusted_files import ImportReport
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.worlds.importing.grid_files import HeightSamples, read_heights
+from dune_rl.worlds.importing.ground import ImportedGround
 from dune_rl.worlds.importing.height_grid import check_grid_size, fill_gaps, grid_axes
 from dune_rl.worlds.importing.imported_world import (
     Friction,
@@ -35,17 +36,11 @@ class HeightmapConf(ImportedWorldConf):
     size_m: tuple[float, float] | None = Field(
         default=None, description="width along x and depth along y; None: those of a GeoTIFF"
     )
-    relief_m: float | None = Field(
-        default=None,
-        gt=0.0,
-        le=10_000.0,
-        description="height difference from lowest to highest; None: values are metres",
+    relief_m: Annotated[float, Field(gt=0.0, le=10_000.0)] | None = Field(
+        default=None, description="height difference from lowest to highest; None: values are metres"
     )
-    lowest_m: float | None = Field(
-        default=None,
-        ge=-20_000.0,
-        le=20_000.0,
-        description="height of the lowest point; None: 0, or that of the file",
+    lowest_m: Annotated[float, Field(ge=-20_000.0, le=20_000.0)] | None = Field(
+        default=None, description="height of the lowest point; None: 0, or that of the file"
     )
     spacing_m: SpacingM | None = Field(
         default=None,
@@ -63,7 +58,7 @@ def build_heightmap(conf: HeightmapConf) -> ImportedWorld:
     heights = read_heights(path, report)
     size, samples = _size(conf, heights, path), _in_metres(conf, heights, path)
     terrain, known = terrain_from_samples(samples, size, conf.spacing_m, report)
-    world = make_world(conf, terrain, (), report, friction=conf.friction, known=known)
+    world = make_world(conf, ImportedGround(terrain, known), (), report, friction=conf.friction)
     world.surfaces = read_surfaces(conf, world.extent)
     report.emit_warnings()
     return world

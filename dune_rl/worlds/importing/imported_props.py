@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -154,18 +155,11 @@ def _build_props(groups: list[_Group]) -> list[Prop]:
             number = counts[part.name] = counts.get(part.name, 0) + 1
             area = np.linalg.norm(doubled_areas(part.vertices[part.faces]), axis=1)
             red, green, blue = np.average(part.colours, axis=0, weights=area + 1e-12).tolist()
-            props.append(
-                Prop(
-                    part.name if number == 1 else f"{part.name} #{number}",
-                    whole.kind,
-                    part.vertices,
-                    part.faces,
-                    solid=part.solid and not part.is_named_water,
-                    colour=(red, green, blue),
-                    face_colours=part.colours.astype(np.float32),
-                    texture=part.texture,
-                )
-            )
+            name = part.name if number == 1 else f"{part.name} #{number}"
+            is_solid = part.solid and not part.is_named_water
+            mesh, colours = (part.vertices, part.faces), part.colours.astype(np.float32)
+            look: Any = {"colour": (red, green, blue), "face_colours": colours, "texture": part.texture}
+            props.append(Prop(name, whole.kind, *mesh, is_solid, **look))
     return props
 
 

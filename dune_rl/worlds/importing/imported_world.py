@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
@@ -10,13 +10,12 @@ from pydantic import Field
 from dune_rl.core.errors import WorldError
 from dune_rl.core.untrusted_files import ImportReport, resolve_world_path
 from dune_rl.geometry.arrays import Flags, Floats
-from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.mesh_files.parts import GREY, MeshPart
 from dune_rl.worlds.clearance import SurfaceClearance
-from dune_rl.worlds.ground_texture import GroundColours, GroundPicture
+from dune_rl.worlds.ground_texture import GroundColours
 from dune_rl.worlds.importing.grid_files import SURFACE_FORMATS, read_surface_numbers
-from dune_rl.worlds.importing.ground import extract_ground
+from dune_rl.worlds.importing.ground import ImportedGround, extract_ground
 from dune_rl.worlds.importing.height_grid import picture_from_colours
 from dune_rl.worlds.importing.imported_props import extract_props
 from dune_rl.worlds.importing.region_search import find_region_candidates
@@ -73,36 +72,20 @@ class ImportedWorld(World):
 
 def make_world(
     conf: ImportedWorldConf,
-    terrain: HeightField,
+    ground: ImportedGround,
     props: Sequence[Prop],
     report: ImportReport,
     *,
     friction: float,
-    known: Flags | None = None,
-    colours: Floats | None = None,
-    picture: GroundPicture | None = None,
     light: LightConf | None = None,
 ) -> ImportedWorld:
-    """The world of `conf` with its region.
-
-    `colours` (rows, columns, 3) are the ground's colours (sRGB) at the points of its grid, None if the file
-    has none; `picture` has more detail than these; `light` is the file's sun. `known` (rows, columns) marks
-    terrain points that were not filled in; None: all.
-    """
+    """The world of `conf` with its region; `light` is the file's sun."""
+    terrain, colours, picture = ground.terrain, ground.colours, ground.picture
     if picture is None and colours is not None and np.ptp(colours, axis=(0, 1)).max() > _EQUAL_COLOURS:
         picture = picture_from_colours(terrain, colours)
-    ground = _mean_ground_colours(colours)
-    world = ImportedWorld(
-        conf.name,
-        terrain,
-        props,
-        region=terrain.extent,
-        friction=friction,
-        ground=ground,
-        picture=picture,
-        light=light,
-    )
-    _set_region(world, conf, report, known)
+    look: Any = {"ground": _mean_ground_colours(colours), "picture": picture, "light": light}
+    world = ImportedWorld(conf.name, terrain, props, region=terrain.extent, friction=friction, **look)
+    _set_region(world, conf, report, ground.known)
     return world
 
 
@@ -115,19 +98,9 @@ def assemble_world(
     light: LightConf | None = None,
 ) -> ImportedWorld:
     """The world of `parts`, split into ground and props."""
-    ground = extract_ground(parts, conf.spacing_m, report)
-    props = extract_props(parts, ground.faces, ground.terrain, report)
-    return make_world(
-        conf,
-        ground.terrain,
-        props,
-        report,
-        friction=friction,
-        known=ground.known,
-        colours=ground.colours,
-        picture=ground.picture,
-        light=light,
-    )
+    ground, is_ground = extract_ground(parts, conf.spacing_m, report)
+    props = extract_props(parts, is_ground, ground.terrain, report)
+    return make_world(conf, ground, props, report, friction=friction, light=light)
 
 
 def _set_region(

@@ -1,7 +1,7 @@
 """The sdf world, built from a Gazebo model or world."""
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
@@ -13,6 +13,7 @@ from dune_rl.geometry.heightfield import HeightField
 from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.mesh_files.parts import MeshPart, drop_faulty_triangles
 from dune_rl.worlds.importing.grid_files import read_heights
+from dune_rl.worlds.importing.ground import ImportedGround
 from dune_rl.worlds.importing.height_grid import tile_picture
 from dune_rl.worlds.importing.heightmap_world import terrain_from_samples
 from dune_rl.worlds.importing.imported_props import extract_props, is_single_sheet
@@ -128,8 +129,8 @@ def _build_on_height_map(
         colours = np.broadcast_to(np.array(height_map.colour, np.float32), shape)
     no_ground = np.zeros(sum(len(part.faces) for part in parts), bool)
     props = extract_props(parts, no_ground, terrain, report)
-    look: Any = {"colours": colours, "picture": picture, "light": light}
-    return make_world(conf, terrain, props, report, friction=friction, known=known, **look)
+    ground = ImportedGround(terrain, known, colours, picture)
+    return make_world(conf, ground, props, report, friction=friction, light=light)
 
 
 def _terrain(
