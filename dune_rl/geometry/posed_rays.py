@@ -66,8 +66,11 @@ class PosedScenes:
         ranges: Floats,
     ) -> None:
         """Shorten `ranges` (N, P), at most `farthest`, in place to the first hits of the copies."""
-        order, whole = counted(directions.shape[1]), (np.zeros((len(origins), 3)), np.inf)
-        self._cast(origins, directions, order, poses, farthest, whole, ranges, _NO_HITS)
+        rays, whole = (
+            (origins, directions, counted(directions.shape[1])),
+            (np.zeros((len(origins), 3)), np.inf),
+        )
+        self._cast(rays, poses, farthest, whole, ranges, _NO_HITS)
 
     def hits(
         self,
@@ -84,16 +87,14 @@ class PosedScenes:
         The rays of a row lie within an angle [rad] of its axis: `view` has axes (N, 3) and the angle. They
         are traced in the `order` (P,) of their numbers.
         """
-        rays = ranges.size
-        found = PosedHits(np.empty(rays, np.int64), np.empty(rays, np.int32), np.empty((rays, 3), np.float32))
-        count = self._cast(origins, directions, order, poses, farthest, view, ranges, found)
+        size = ranges.size
+        found = PosedHits(np.empty(size, np.int64), np.empty(size, np.int32), np.empty((size, 3), np.float32))
+        count = self._cast((origins, directions, order), poses, farthest, view, ranges, found)
         return PosedHits(found.ray[:count], found.face[:count], found.normal[:count])
 
     def _cast(
         self,
-        origins: Array,
-        directions: NDArray[np.floating],
-        order: NDArray[np.int64],
+        rays: Any,
         poses: Array,
         farthest: float,
         view: tuple[Array, float],
@@ -106,17 +107,9 @@ class PosedScenes:
                 f"poses have {POSE_COLUMNS} columns (x, y, z, yaw, roll, pitch, frame), got {poses.shape[-1]}"
             )
         poses = np.ascontiguousarray(poses, np.float64)
-        count: int = _cast_at_copies(
-            (self._handles, self._first_faces),
-            ARGUMENTS,
-            (origins, directions, order),
-            (poses, np.cos(poses[..., 3]), np.sin(poses[..., 3])),
-            (*self._sphere, farthest),
-            view,
-            ranges,
-            tuple(found),
-        )
-        return count
+        scenes, bounds = (self._handles, self._first_faces), (*self._sphere, farthest)
+        copies = poses, np.cos(poses[..., 3]), np.sin(poses[..., 3])
+        return _cast_at_copies(scenes, ARGUMENTS, rays, copies, bounds, view, ranges, tuple(found))
 
 
 @compile_function

@@ -87,8 +87,7 @@ class BakedScenery:
 
     def _ground_sky_share(self) -> Floats:
         xmin, xmax, ymin, ymax = self.terrain.extent
-        columns = max(2, min(256, round((xmax - xmin) / _SKY_GRID_M)))
-        rows = max(2, min(256, round((ymax - ymin) / _SKY_GRID_M)))
+        rows, columns = (max(2, min(256, round(side / _SKY_GRID_M))) for side in (ymax - ymin, xmax - xmin))
         points = _ground_grid(self.terrain, rows, columns).reshape(-1, 3)
         normals = smooth_normals(self.terrain, points[:, :2])
         share = sky_share(self.rays, points, normals).reshape(rows, columns)
@@ -173,7 +172,6 @@ def sky_share(rays: RayScene, points: Array, normals: Floats) -> Floats:
 
 
 def _face_normals(shape: ColouredMesh) -> Floats:
-    """Unit normals (F, 3) of the faces."""
     corners = shape.vertices[shape.faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)

@@ -79,14 +79,15 @@ def tone_map_to_srgb(linear: Floats) -> Floats:
     """SRGB values in [0, 1] of linear values (...), with highlights compressed instead of clipped."""
     # Linear up to 0.5, then exponentially towards 1 with a continuous slope.
     bright = 0.5 + 0.5 * (1.0 - np.exp(-(np.maximum(linear, 0.5) - 0.5) / 0.5))
-    low = np.clip(np.where(linear > 0.5, bright, linear), 0.0, 1.0)
-    encoded: Floats = np.where(low <= 0.0031308, 12.92 * low, 1.055 * low ** (1 / 2.4) - 0.055)
-    return encoded.astype(np.float32)
+    return _encode(np.clip(np.where(linear > 0.5, bright, linear), 0.0, 1.0))
 
 
 def linear_to_srgb(linear: Floats) -> Floats:
     """SRGB values in [0, 1] of linear values (...), clipped: the inverse of `srgb_to_linear`."""
-    value = np.clip(np.asarray(linear, np.float32), 0.0, 1.0)
+    return _encode(np.clip(np.asarray(linear, np.float32), 0.0, 1.0))
+
+
+def _encode(value: Floats) -> Floats:
     encoded: Floats = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
     return encoded.astype(np.float32)
 

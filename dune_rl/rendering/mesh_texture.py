@@ -69,10 +69,11 @@ def join_textures(textures: Sequence[MeshTexture | None], counts: Sequence[int])
         return None
     number: dict[int, int] = {}
     pictures: list[Bytes] = []
-    index = [np.zeros(0, np.int32)]
+    index, maps = [], []
     for texture, count in zip(textures, counts, strict=True):
         if texture is None:
             index.append(np.full(count, -1, np.int32))
+            maps.append(np.zeros((count, 2, 4)))
             continue
         for used in np.unique(texture.picture[texture.picture >= 0]):
             if id(texture.pictures[used]) not in number:
@@ -80,10 +81,7 @@ def join_textures(textures: Sequence[MeshTexture | None], counts: Sequence[int])
                 pictures.append(texture.pictures[used])
         new = np.array([*(number.get(id(picture), -1) for picture in texture.pictures), -1], np.int32)
         index.append(new[texture.picture])
-    maps = [
-        np.zeros((count, 2, 4)) if texture is None else texture.maps
-        for texture, count in zip(textures, counts, strict=True)
-    ]
+        maps.append(texture.maps)
     return MeshTexture(tuple(pictures), np.concatenate(index), np.concatenate(maps))
 
 
@@ -152,21 +150,16 @@ class TextureSampler:
     def _texel(
         self, start: NDArray[np.int64], sides: NDArray[np.int32], column: Floats, row: Floats
     ) -> Bytes:
-        x = column.astype(np.int32) & (sides[:, 0] - 1)
-        y = row.astype(np.int32) & (sides[:, 1] - 1)
+        x, y = column.astype(np.int32) & (sides[:, 0] - 1), row.astype(np.int32) & (sides[:, 1] - 1)
         return self._texels[start + y * sides[:, 0] + x]
 
 
 def _resize_to_powers_of_two(picture: Bytes) -> Bytes:
     """The picture with each side resized to the nearest power of two, at most `_LARGEST`."""
-    rows, columns = (_nearest_power(side) for side in picture.shape[:2])
+    rows, columns = (int(min(_LARGEST, 2 ** round(np.log2(side)))) for side in picture.shape[:2])
     if (rows, columns) == picture.shape[:2]:
         return picture
     return np.asarray(Image.fromarray(picture).resize((columns, rows), Image.Resampling.BOX))
-
-
-def _nearest_power(side: int) -> int:
-    return int(min(_LARGEST, 2 ** round(np.log2(side))))
 
 
 def _halve(picture: Bytes) -> Bytes:

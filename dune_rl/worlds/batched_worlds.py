@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +45,7 @@ class BatchedWorlds:
         first = WorldAppearance(world, weather)
         self.worlds: SharedPerScene[World] = SharedPerScene([world] * len(scenes))
         self.appearances: SharedPerScene[WorldAppearance] = SharedPerScene([first] * len(scenes))
-        self._terrains = self.worlds.map(_terrain)
+        self._terrains = self.worlds.map(attrgetter("terrain"))
         self._extents = np.tile(np.array(world.extent), (len(scenes), 1))
         for scene, (its_world, its_weather) in enumerate(scenes):
             self.put(scene, its_world, its_weather)
@@ -86,7 +87,3 @@ class BatchedWorlds:
         """
         groups = self.worlds.groups if scenes is None else self.worlds.select_groups(scenes)
         return query_grouped(groups, World.clearance, xy)
-
-
-def _terrain(world: World) -> HeightField:
-    return world.terrain

@@ -73,9 +73,8 @@ def merge_small_rocks(rocks: Sequence[Prop]) -> list[Prop]:
         else:
             x, y = np.floor((low + high) / 2 / _MERGE_SQUARE_M).tolist()
             groups.setdefault((x, y), []).append(each)
-    return large + [
-        merge_rocks(f"rocks {n}", "rock", group) for n, group in enumerate(groups.values(), start=1)
-    ]
+    merged = enumerate(groups.values(), start=1)
+    return large + [merge_rocks(f"rocks {number}", "rock", group) for number, group in merged]
 
 
 def _rock_mesh(rng: np.random.Generator, width: float) -> Mesh:

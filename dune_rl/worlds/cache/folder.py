@@ -72,9 +72,8 @@ class CacheFolder:
                 np.savez(file, **everything)
             self._evict(path)
         except OSError as error:
-            self.warn(
-                "unwritable", f"{self.path} cannot be written ({error.strerror or error}): nothing is cached"
-            )
+            reason = error.strerror or error
+            self.warn("unwritable", f"{self.path} cannot be written ({reason}): nothing is cached")
 
     def _evict(self, newest: Path) -> None:
         entries = []

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from functools import cached_property
+from inspect import getmembers_static
 from typing import Any
 
 import numpy as np
@@ -42,9 +43,9 @@ _PLAIN: dict[str, type] = {
     )
 }
 # Cached properties that are stored, because they take long to compute.
-_STORED_PROPERTIES = ("clearance_field",)
+_STORED_PROPERTIES = {"clearance_field"}
 # Attributes that are not part of a world's content.
-_EXCLUDED = ("disk_cache",)
+_EXCLUDED = {"disk_cache"}
 _TYPES = ("float64", "float32", "int64", "int32", "uint8", "bool")
 
 
@@ -76,12 +77,9 @@ def state_of(value: object) -> dict[str, Any]:
     if isinstance(value, HeightField):
         return {"heights": value.heights, "spacing_m": value.spacing_m, "origin": value.origin}
     derived = {
-        name
-        for kind in type(value).__mro__
-        for name, attribute in vars(kind).items()
-        if isinstance(attribute, cached_property) and name not in _STORED_PROPERTIES
-    }
-    return {name: held for name, held in vars(value).items() if name not in {*derived, *_EXCLUDED}}
+        name for name, of in getmembers_static(type(value)) if isinstance(of, cached_property)
+    } - _STORED_PROPERTIES
+    return {name: held for name, held in vars(value).items() if name not in derived | _EXCLUDED}
 
 
 class _Writer:

@@ -109,9 +109,8 @@ def container(terrain: HeightField, name: str, xy: ArrayLike, yaw: float, rng: n
     low, high = _ground_range(terrain, xy, yaw, 1.2, 1.0)
     parts = [upright_box(xy, yaw, low - _SUNK_M, high + 2.4, 1.14, 0.94)]
     for u in np.linspace(-0.54, 0.54, 5):
-        parts.append(
-            upright_box(np.asarray(xy) + u * unit_vector(yaw), yaw, low - _SUNK_M, high + 2.36, 0.08, 1.0)
-        )
+        at = np.asarray(xy) + u * unit_vector(yaw)
+        parts.append(upright_box(at, yaw, low - _SUNK_M, high + 2.36, 0.08, 1.0))
     for bottom, top in ((0.0, 0.12), (2.28, 2.42)):
         parts.append(upright_box(xy, yaw, high + bottom, high + top, 1.2, 1.0))
     return Prop(name, "container", *merge_meshes(parts), colour=_BOXES[int(rng.integers(len(_BOXES)))])

@@ -98,10 +98,8 @@ def build_storey(
                 frame += stud_wall(terrain, wall.at(first), wall.at(last))
             else:
                 # One board per piece between junctions, so that each board can be lit differently.
-                ends = [
-                    s + side * half for s in junctions for side in (-1, 1) if first < s + side * half < last
-                ]
-                boards = pairwise(sorted({first, *ends, last}))
+                ends = {s + side * half for s in junctions for side in (-1, 1)}
+                boards = pairwise(sorted({first, *(s for s in ends if first < s < last), last}))
                 finished += [plastered_wall(terrain, wall.at(u), wall.at(v)) for u, v in boards]
         if finished:
             props.append(Prop(f"wall {number} plaster", "wall", *merge_meshes(finished), colour=PLASTER))
@@ -114,13 +112,9 @@ def _divide(
     plan: Rectangle, room_size_m: float, rng: np.random.Generator
 ) -> tuple[list[Rectangle], list[_Wall]]:
     xmin, xmax, ymin, ymax = plan
-    corner, across = np.array([xmin, ymin]), np.array([xmax, ymax])
-    walls = [
-        _Wall(corner, 0, xmax - xmin, True),
-        _Wall(corner, 1, ymax - ymin, True),
-        _Wall(np.array([xmin, ymax]), 0, xmax - xmin, True),
-        _Wall(np.array([across[0], ymin]), 1, ymax - ymin, True),
-    ]
+    corners = ((xmin, ymin), 0), ((xmin, ymin), 1), ((xmin, ymax), 0), ((xmax, ymin), 1)
+    sides = xmax - xmin, ymax - ymin
+    walls = [_Wall(np.array(corner), axis, sides[axis], True) for corner, axis in corners]
     rooms: list[Rectangle] = []
     undivided = [plan]
     while undivided:
@@ -134,15 +128,12 @@ def _divide(
         start = np.array([room[0], room[2]])
         start[axis] = cut
         walls.append(_Wall(start, 1 - axis, sides[1 - axis], False))
-        first, second = list(room), list(room)
-        first[2 * axis + 1] = second[2 * axis] = cut
-        undivided += [_rectangle(second), _rectangle(first)]
+        xmin, xmax, ymin, ymax = room
+        if axis == 0:
+            undivided += [(cut, xmax, ymin, ymax), (xmin, cut, ymin, ymax)]
+        else:
+            undivided += [(xmin, xmax, cut, ymax), (xmin, xmax, ymin, cut)]
     return rooms, walls
-
-
-def _rectangle(values: list[float]) -> Rectangle:
-    xmin, xmax, ymin, ymax = values
-    return xmin, xmax, ymin, ymax
 
 
 def _junctions(wall: _Wall, walls: list[_Wall]) -> list[float]:

@@ -51,12 +51,8 @@ def solar_array(terrain: HeightField, name: str, xy: ArrayLike, yaw: float) -> t
     out /= np.linalg.norm(out)
     axes = np.stack([ahead, np.cross(out, ahead), out])
     centre = underside(0.0, ARRAY_DEPTH_M / 2) + out * _ARRAY_THICKNESS_M / 2
-    size = [
-        ARRAY_LENGTH_M * float(np.hypot(1.0, pitch)),
-        ARRAY_DEPTH_M * float(np.linalg.norm(up_panel)),
-        _ARRAY_THICKNESS_M,
-    ]
-    panel = slab(centre, axes, size)
+    length, depth = float(np.hypot(1.0, pitch)), float(np.linalg.norm(up_panel))
+    panel = slab(centre, axes, [ARRAY_LENGTH_M * length, ARRAY_DEPTH_M * depth, _ARRAY_THICKNESS_M])
     frame: list[Mesh] = []
     for t_m in (0.3, ARRAY_DEPTH_M - 0.45):
         for s_m in (-2.6, 0.0, 2.6):
@@ -103,9 +99,8 @@ def bridge(
         middle = ends[0] + (u / length + 0.5) * (ends[1] - ends[0])
         return middle + np.array([*(v * across), above])
 
-    deck = beam(
-        on_deck(-length / 2, 0, -thickness / 2), on_deck(length / 2, 0, -thickness / 2), width, thickness
-    )
+    start, end = (on_deck(u, 0, -thickness / 2) for u in (-length / 2, length / 2))
+    deck = beam(start, end, width, thickness)
     frame: list[Mesh] = []
     edge = width / 2 - 0.08
     for v in (-edge, edge):

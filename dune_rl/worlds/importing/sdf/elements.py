@@ -1,7 +1,6 @@
 """Numbers, poses and primitive shapes of SDF files."""
 
 import os
-from collections.abc import Sequence
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -188,22 +187,17 @@ class SdfFileFinder:
         name, _, inner = rest.replace("\\", "/").partition("/")
         if name in ("", ".", "..") or "\0" in rest:
             raise OutsideFolderError(f"model://{printable(rest)} names no model: use model://NAME/FILE.")
-        own = [self.folder.root] if self.folder.root.name == name else []
-        for root in (*own, self.folder.root / name, self.folder.root / "models" / name):
-            if _is_folder(root):
-                if not root.resolve().is_relative_to(self.folder.root):
-                    raise OutsideFolderError(
-                        f"{root} is a link that leads out of {self.folder.root}: it is not read."
-                    )
-                found = _find_inside(WorldFiles(root), inner)
-                if found is not None:
-                    return found
-        for resource in self._resources:
+        top = self.folder.root
+        own = [*([top] if top.name == name else []), top / name, top / "models" / name]
+        for root in (*own, *(resource / name for resource in self._resources)):
+            if not root.is_dir():
+                record_absent(root)
+                continue
             # A resource folder may itself be a link: the user put it there.
-            if _is_folder(resource / name):
-                found = _find_inside(WorldFiles(resource / name), inner)
-                if found is not None:
-                    return found
+            if root in own and not root.resolve().is_relative_to(top):
+                raise OutsideFolderError(f"{root} is a link that leads out of {top}: it is not read.")
+            if found := _find_inside(WorldFiles(root), inner):
+                return found
         return None
 
     def read_document(self, path: Path) -> Element:
@@ -253,13 +247,6 @@ def _find_inside(folder: WorldFiles, inner: str) -> tuple[Path, WorldFiles] | No
     return path, WorldFiles(path.resolve()) if path.is_dir() else folder
 
 
-def _is_folder(path: Path) -> bool:
-    if path.is_dir():
-        return True
-    record_absent(path)
-    return False
-
-
 def _version(element: Element) -> tuple[int, ...]:
-    words: Sequence[str] = (element.get("version") or "0").split(".")
+    words = (element.get("version") or "0").split(".")
     return tuple(int(word) if word.isdigit() else 0 for word in words[:3])
