@@ -18,8 +18,7 @@ from dune_rl.robots.robot import Robot, RobotDescription
 from dune_rl.state.state import Motion
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.grass import Grass
-from dune_rl.worlds.surface_map import SurfaceMap
-from dune_rl.worlds.surfaces import Surface, WheelLoad, contact_table
+from dune_rl.worlds.surfaces import Surface, SurfaceMap, WheelLoad, contact_table
 from dune_rl.worlds.world import World
 
 # A wheel higher than this over what is below it bears no load.

@@ -9,8 +9,7 @@ from dune_rl.geometry.heightfield import HeightField
 from dune_rl.worlds.grass import grow_grass
 from dune_rl.worlds.ground_texture import GRAVEL
 from dune_rl.worlds.settings import GrassyConf
-from dune_rl.worlds.surface_map import SurfaceShare, surface_map
-from dune_rl.worlds.surfaces import SURFACE_NAMES
+from dune_rl.worlds.surfaces import SURFACE_NAMES, SurfaceShare, surface_map
 from dune_rl.worlds.world import World
 
 # Contact solvers lose precision on triangles much longer than the robot.

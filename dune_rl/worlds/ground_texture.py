@@ -11,7 +11,7 @@ from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.geometry.heightfield import HeightField, cell_centres
 from dune_rl.rendering.light import srgb_to_linear
 from dune_rl.worlds.fractal_terrain import smooth_step
-from dune_rl.worlds.surface_map import SurfaceMap
+from dune_rl.worlds.surfaces import SurfaceMap
 
 Colour = tuple[float, float, float]
 

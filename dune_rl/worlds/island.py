@@ -15,7 +15,7 @@ from dune_rl.worlds.grass import Grass, grow_grass
 from dune_rl.worlds.ground_texture import GroundColours
 from dune_rl.worlds.props import OccupiedRectangles, axes_of, unit_vector, upright_box
 from dune_rl.worlds.settings import GrassyConf, SeededConf
-from dune_rl.worlds.surface_map import SurfaceShare, surface_map
+from dune_rl.worlds.surfaces import SurfaceShare, surface_map
 from dune_rl.worlds.world import Colour, Prop, World
 
 # Four points per metre, the shortest bump length; a wheel's radius is about half a spacing.

@@ -23,7 +23,7 @@ from dune_rl.worlds.rocks import (
     rock,
 )
 from dune_rl.worlds.settings import GrassyConf, SeededConf
-from dune_rl.worlds.surface_map import SurfaceShare, surface_map
+from dune_rl.worlds.surfaces import SurfaceShare, surface_map
 from dune_rl.worlds.world import Prop, World
 
 HALF_EXTENT_M = 22.0

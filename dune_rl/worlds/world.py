@@ -21,8 +21,7 @@ from dune_rl.worlds.fractal_terrain import RoughnessField
 from dune_rl.worlds.grass import Grass
 from dune_rl.worlds.ground_texture import MEADOW, GroundColours, GroundPicture
 from dune_rl.worlds.props import Mesh, merge_meshes
-from dune_rl.worlds.surface_map import Deck, Decks, SurfaceMap
-from dune_rl.worlds.surfaces import SurfaceName
+from dune_rl.worlds.surfaces import Deck, Decks, SurfaceMap, SurfaceName
 
 Colour = tuple[float, float, float]
 Rectangle = tuple[float, float, float, float]

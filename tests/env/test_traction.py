@@ -13,8 +13,7 @@ from dune_rl.env.scene_spec import scene_spec
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.physics.interface import PhysicsConf
 from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf, RoverZeroDriveConf
-from dune_rl.worlds.surface_map import SurfaceMap
-from dune_rl.worlds.surfaces import SURFACE_NAMES, SURFACES
+from dune_rl.worlds.surfaces import SURFACE_NAMES, SURFACES, SurfaceMap
 from dune_rl.worlds.world import Prop, World
 
 LOAD_N = MASS_KG * GRAVITY_MPS2 / 4

@@ -8,8 +8,7 @@ from dune_rl.env.scene_spec import scene_spec, standing_pose
 from dune_rl.env.traction import Traction
 from dune_rl.physics.interface import PhysicsConf, step_scene
 from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf
-from dune_rl.worlds.surface_map import SurfaceMap
-from dune_rl.worlds.surfaces import SURFACES, Surface
+from dune_rl.worlds.surfaces import SURFACES, Surface, SurfaceMap
 from dune_rl.worlds.world import World
 
 # The middle of one large triangle of `slope_world`: at edges a wheel that yields has two contacts.

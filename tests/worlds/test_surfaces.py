@@ -18,8 +18,15 @@ from dune_rl.robots.rover_zero import RoverZero, RoverZeroConf
 from dune_rl.worlds.appearance import build_scenery
 from dune_rl.worlds.importing.heightmap_world import HeightmapConf, build_heightmap
 from dune_rl.worlds.props import upright_box
-from dune_rl.worlds.surface_map import SurfaceMap
-from dune_rl.worlds.surfaces import SURFACE_NAMES, SURFACES, Soil, Surface, WheelLoad, contact_table
+from dune_rl.worlds.surfaces import (
+    SURFACE_NAMES,
+    SURFACES,
+    Soil,
+    Surface,
+    SurfaceMap,
+    WheelLoad,
+    contact_table,
+)
 from dune_rl.worlds.world import Prop, World
 
 EXTENT = (-4.0, 4.0, -2.0, 2.0)

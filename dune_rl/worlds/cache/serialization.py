@@ -17,8 +17,7 @@ from dune_rl.worlds.clearance import ClearanceField, SurfaceClearance
 from dune_rl.worlds.grass import Grass
 from dune_rl.worlds.ground_texture import GroundColours, GroundPicture
 from dune_rl.worlds.importing.imported_world import ImportedWorld
-from dune_rl.worlds.surface_map import SurfaceMap
-from dune_rl.worlds.surfaces import Soil, Surface
+from dune_rl.worlds.surfaces import Soil, Surface, SurfaceMap
 from dune_rl.worlds.world import Prop, RegionCandidate, World
 
 # The classes that are instantiated when an entry names them. A new class that worlds refer to must be added

@@ -15,7 +15,7 @@ from dune_rl.worlds.construction.walls import Storey, build_storey
 from dune_rl.worlds.ground_texture import GroundColours
 from dune_rl.worlds.props import OccupiedRectangles, Placement
 from dune_rl.worlds.settings import SeededConf, SurfacedConf
-from dune_rl.worlds.surface_map import SurfaceShare, surface_map
+from dune_rl.worlds.surfaces import SurfaceShare, surface_map
 from dune_rl.worlds.world import Prop, Rectangle, World
 
 LENGTH_M, WIDTH_M = 44.0, 25.0

@@ -20,8 +20,7 @@ from dune_rl.worlds.importing.height_grid import picture_from_colours
 from dune_rl.worlds.importing.imported_props import extract_props
 from dune_rl.worlds.importing.region_search import find_region_candidates
 from dune_rl.worlds.settings import WorldSettings
-from dune_rl.worlds.surface_map import SurfaceMap
-from dune_rl.worlds.surfaces import SURFACE_NAMES, SurfaceName
+from dune_rl.worlds.surfaces import SURFACE_NAMES, SurfaceMap, SurfaceName
 from dune_rl.worlds.world import Prop, Rectangle, World
 
 # Colours that differ by less count as equal.

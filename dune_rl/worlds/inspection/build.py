@@ -24,7 +24,7 @@ from dune_rl.worlds.inspection.terrain import (
 )
 from dune_rl.worlds.props import OccupiedRectangles, Placement, unit_vector
 from dune_rl.worlds.settings import GrassyConf, SeededConf
-from dune_rl.worlds.surface_map import SurfaceShare, surface_map
+from dune_rl.worlds.surfaces import SurfaceShare, surface_map
 from dune_rl.worlds.world import Prop, World
 
 _SURFACES = (

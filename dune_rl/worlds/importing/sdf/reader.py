@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -74,6 +75,15 @@ class SdfContents:
     actors: list[ActorTrajectory] = field(default_factory=list)
 
 
+class _Place(NamedTuple):
+    """Where elements stand: the files that they may refer to, pose (4, 4), name, and the including files."""
+
+    folder: WorldFiles
+    matrix: Array
+    name: str = ""
+    chain: tuple[Path, ...] = ()
+
+
 class SdfReader:
     """Reads a file and everything that it includes; with `actors_only`, nothing but its actors."""
 
@@ -87,73 +97,67 @@ class SdfReader:
 
     def read(self, path: Path, folder: WorldFiles) -> SdfContents:
         """The contents of the file at `path`, which may refer to files in `folder`."""
-        self._read_file(path, folder, np.eye(4), "", ())
+        self._read_file(path, _Place(folder, np.eye(4)))
         return self._contents
 
-    def _read_file(
-        self, path: Path, folder: WorldFiles, matrix: Array, name: str, chain: tuple[Path, ...]
-    ) -> None:
-        real, source = path.resolve(), self._report.source
+    def _read_file(self, path: Path, place: _Place) -> None:
+        real, source, chain = path.resolve(), self._report.source, place.chain
         if real in chain:
             loop = " > ".join(p.parent.name + "/" + p.name for p in (*chain[chain.index(real) :], real))
             raise WorldError(f"{source} includes itself ({loop}): take one <include> out.")
         if len(chain) >= _DEEPEST:
             raise WorldError(f"{source} has <include>s more than {_DEEPEST} deep: flatten them.")
-        here = folder.relative_to(path.parent)
+        here = place._replace(folder=place.folder.relative_to(path.parent), chain=(*chain, real))
         try:
-            self._read_children(self._finder.read_document(path), here, matrix, name, (*chain, real))
+            self._read_children(self._finder.read_document(path), here)
         except WorldError as error:
             # The message names the innermost file, and only once.
             text = str(error)
             raise WorldError(text if path.name in text or chain else f"{path.name}: {text}") from None
 
-    def _read_children(
-        self, element: Element, folder: WorldFiles, matrix: Array, name: str, chain: tuple[Path, ...]
-    ) -> None:
+    def _read_children(self, element: Element, place: _Place) -> None:
         for child in element:
             self._elements += 1
             self._limit(self._elements, _MOST_ELEMENTS, "elements")
             if child.tag in ("world", "model"):
                 # In Gazebo, a model without <static> falls and can be pushed.
-                if child.tag == "model" and (child.findtext("static") or "").strip() not in ("true", "1"):
+                if child.tag == "model" and _text(child, "static") not in ("true", "1"):
                     self._report.warn("models that are not <static> do not move here")
                 # A world's name is ignored; the name of an <include> replaces the model's own.
                 own = "" if child.tag == "world" else child.get("name") or ""
-                full = name if element.tag == "sdf" and name else _path(name, own)
-                self._read_children(child, folder, matrix @ self._pose(child), full, chain)
+                full = place.name if element.tag == "sdf" and place.name else _path(place.name, own)
+                self._read_children(child, self._at(place, child)._replace(name=full))
             elif child.tag == "actor":
-                actor = parse_actor(child, matrix, self._report)
+                actor = parse_actor(child, place.matrix, self._report)
                 self._contents.actors += [] if actor is None else [actor]
                 self._limit(len(self._contents.actors), MOST_ACTORS, "actors")
             elif self._actors_only and child.tag != "include":
                 continue
             elif child.tag == "link":
-                own = name or printable(child.get("name") or "")
-                self._read_link(child, folder, matrix @ self._pose(child), own)
+                own = place.name or printable(child.get("name") or "")
+                self._read_link(child, self._at(place, child)._replace(name=own))
             elif child.tag == "include":
-                self._read_include(child, folder, matrix, name, chain)
+                self._read_include(child, place)
             else:
-                self._read_light_or_warn(child, matrix)
+                self._read_light_or_warn(child, place)
 
     def _limit(self, count: int, most: int, what: str) -> None:
         if count > most:
             raise WorldError(f"{self._report.source} has more than {most:,} {what}: reduce it.")
 
-    def _pose(self, element: Element) -> Array:
+    def _at(self, place: _Place, element: Element) -> _Place:
+        """The place moved by the pose of an element."""
         pose = element.find("pose")
         if pose is not None and (pose.get("relative_to") or pose.get("frame")):
             self._report.warn(
                 "<pose relative_to> is not supported; such poses are read in their parent's frame"
             )
-        return parse_pose(element)
+        return place._replace(matrix=place.matrix @ parse_pose(element))
 
-    def _read_include(
-        self, element: Element, folder: WorldFiles, matrix: Array, name: str, chain: tuple[Path, ...]
-    ) -> None:
-        uri = (element.findtext("uri") or "").strip()
+    def _read_include(self, element: Element, place: _Place) -> None:
         if element.find("placement_frame") is not None:
             self._report.warn("<placement_frame> is not supported and left out")
-        found = self._finder.find(uri, folder)
+        found = self._finder.find(_text(element, "uri"), place.folder)
         if found is None:
             return
         path, within = found
@@ -161,34 +165,26 @@ class SdfReader:
             path = self._finder.find_description(path, within)
         self._includes += 1
         self._limit(self._includes, _MOST_INCLUDES, "<include>s")
-        own = (element.findtext("name") or "").strip() or path.parent.name
-        self._read_file(path, within, matrix @ self._pose(element), _path(name, own), chain)
+        name = _path(place.name, _text(element, "name") or path.parent.name)
+        self._read_file(path, self._at(place, element)._replace(folder=within, name=name))
 
-    def _read_link(self, link: Element, folder: WorldFiles, matrix: Array, name: str) -> None:
+    def _read_link(self, link: Element, place: _Place) -> None:
         for child in link:
             if child.tag not in ("collision", "visual"):
-                self._read_light_or_warn(child, matrix)
+                self._read_light_or_warn(child, place)
         visuals, collisions = link.findall("visual"), link.findall("collision")
-        colours = [self._visual_colour(visual, folder) for visual in visuals]
+        colours = [self._visual_colour(visual, place.folder) for visual in visuals]
         first = next((colour for colour in colours if colour is not None), None)
         for collision in collisions:
-            self._read_shape(collision, folder, matrix, name, first, visuals, solid=True)
+            self._read_shape(collision, place, first, visuals, solid=True)
         if not collisions:
             for visual, colour in zip(visuals, colours, strict=True):
-                self._read_shape(visual, folder, matrix, name, colour, [visual], solid=False)
+                self._read_shape(visual, place, colour, [visual], solid=False)
 
     def _read_shape(
-        self,
-        holder: Element,
-        folder: WorldFiles,
-        matrix: Array,
-        name: str,
-        colour: Colour | None,
-        visuals: list[Element],
-        *,
-        solid: bool,
+        self, holder: Element, place: _Place, colour: Colour | None, visuals: list[Element], *, solid: bool
     ) -> None:
-        matrix = matrix @ self._pose(holder)
+        place = self._at(place, holder)
         friction = None
         for way in ("surface/friction/bullet/friction", "surface/friction/ode/mu"):
             if (found := holder.find(way)) is not None:
@@ -197,13 +193,13 @@ class SdfReader:
             self._elements += 1
             if shape.tag == "plane":
                 if solid:
-                    self._contents.planes.append((shape, matrix, colour or GREY))
+                    self._contents.planes.append((shape, place.matrix, colour or GREY))
                     self._record_friction("plane", friction)
             elif shape.tag == "heightmap":
-                self._read_height_map(shape, folder, matrix, colour, visuals)
+                self._read_height_map(shape, place, colour, visuals)
                 self._record_friction("heightmap", friction)
             elif shape.tag != "empty":
-                parts = list(self._read_mesh(shape, folder, matrix, name or "thing", colour, solid))
+                parts = list(self._read_mesh(shape, place, colour, solid))
                 for part in parts:
                     self._faces += len(part.faces)
                     self._record_friction(part.name, friction)
@@ -215,15 +211,16 @@ class SdfReader:
             self._contents.frictions[name] = friction
 
     def _read_mesh(
-        self, shape: Element, folder: WorldFiles, matrix: Array, name: str, colour: Colour | None, solid: bool
+        self, shape: Element, place: _Place, colour: Colour | None, solid: bool
     ) -> Iterator[MeshPart]:
-        mesh = build_primitive(shape)
+        mesh, name = build_primitive(shape), place.name or "thing"
         if mesh is not None:
-            yield MeshPart.from_triangles(name, *mesh, colour, shape.tag, solid=solid).transform(matrix)
+            part = MeshPart.from_triangles(name, *mesh, colour, shape.tag, solid=solid)
+            yield part.transform(place.matrix)
         elif shape.tag == "mesh":
             if shape.find("submesh") is not None:
                 self._report.warn("<submesh> is not supported; the whole mesh is used")
-            found = self._finder.find((shape.findtext("uri") or "").strip(), folder)
+            found = self._finder.find(_text(shape, "uri"), place.folder)
             if found is None:
                 return
             path, within = found
@@ -240,24 +237,25 @@ class SdfReader:
                 if colour is not None:
                     colours = np.broadcast_to(np.array(colour, np.float32), part.colours.shape)
                     own = replace(own, colours=np.ascontiguousarray(colours), texture=None)
-                yield own.transform(matrix @ scale)
+                yield own.transform(place.matrix @ scale)
         else:
             self._report.warn(f"<{printable(shape.tag, 40)}> as a shape is not supported and left out")
 
     def _read_height_map(
-        self, shape: Element, folder: WorldFiles, matrix: Array, colour: Colour | None, visuals: list[Element]
+        self, shape: Element, place: _Place, colour: Colour | None, visuals: list[Element]
     ) -> None:
-        found = self._finder.find((shape.findtext("uri") or "").strip(), folder)
+        folder = place.folder
+        found = self._finder.find(_text(shape, "uri"), folder)
         if found is None:
             return
         picture, tile_m = None, 10.0
         pictures = [shape, *(s for visual in visuals for s in visual.iter("heightmap"))]
         for texture in (t for s in pictures for t in s.findall("texture")):
-            diffuse = self._read_picture((texture.findtext("diffuse") or "").strip(), folder)
+            diffuse = self._read_picture(_text(texture, "diffuse"), folder)
             if picture is None and diffuse is not None:
                 picture, tile_m = diffuse, float(parse_numbers(texture.find("size"), 1, (10.0,))[0])
             # Normal maps are not used, but their absence is reported.
-            self._read_picture((texture.findtext("normal") or "").strip(), folder)
+            self._read_picture(_text(texture, "normal"), folder)
         if not 1e-3 <= tile_m <= 1e5:
             self._report.warn(f"<size> of a <texture> is {tile_m:g} m; its mean colour is used")
             colour = colour or (None if picture is None else mean_colour(picture))
@@ -267,7 +265,7 @@ class SdfReader:
         offset[:3, 3] = parse_numbers(shape.find("pos"), 3, (0, 0, 0))
         if not ((size > 0) & (size < 1e5)).all():
             raise WorldError("<size> of a <heightmap> must be above 0.")
-        height_map = SdfHeightMap(found[0], size, matrix @ offset, colour, picture, tile_m)
+        height_map = SdfHeightMap(found[0], size, place.matrix @ offset, colour, picture, tile_m)
         self._contents.height_maps.append(height_map)
 
     def _visual_colour(self, visual: Element, folder: WorldFiles) -> Colour | None:
@@ -275,7 +273,7 @@ class SdfReader:
         material = visual.find("material")
         if material is None:
             return None
-        picture = self._read_picture((material.findtext("pbr/metal/albedo_map") or "").strip(), folder)
+        picture = self._read_picture(_text(material, "pbr/metal/albedo_map"), folder)
         colour = None if picture is None else mean_colour(picture)
         if colour is None and material.find("diffuse") is not None:
             text = " ".join((material.findtext("diffuse") or "").split()[:4])
@@ -302,7 +300,7 @@ class SdfReader:
             self._report.warn(f"{printable(uri)} is left out: {first_line(error)}")
             return None
 
-    def _read_light_or_warn(self, element: Element, matrix: Array) -> None:
+    def _read_light_or_warn(self, element: Element, place: _Place) -> None:
         kind = element.get("type") or "none"
         if element.tag != "light":
             if element.tag not in _IGNORED:
@@ -312,13 +310,18 @@ class SdfReader:
         elif self._contents.light is not None:
             self._report.warn("has several directional lights; the first is the sun")
         else:
-            self._contents.light = parse_sun(element, (matrix @ self._pose(element))[:3, :3], self._report)
+            turn = self._at(place, element).matrix[:3, :3]
+            self._contents.light = parse_sun(element, turn, self._report)
 
 
 def mean_colour(picture: Bytes) -> Colour:
     """The mean colour in sRGB of an image (rows, columns, 3) of bytes."""
     red, green, blue = (picture.mean(axis=(0, 1)) / 255.0).tolist()
     return red, green, blue
+
+
+def _text(element: Element, path: str) -> str:
+    return (element.findtext(path) or "").strip()
 
 
 def _path(name: str, own: str) -> str:
