@@ -56,15 +56,15 @@ class Scenery:
 def join_meshes(shapes: list[ColouredMesh]) -> ColouredMesh:
     """Several meshes as one, in their order."""
     if not shapes:
+        nothing = np.zeros((0, 3))
         return ColouredMesh(
-            np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 3), np.float32), np.zeros(0, np.uint8)
+            nothing, nothing.astype(np.int32), nothing.astype(np.float32), np.zeros(0, np.uint8)
         )
     starts = np.cumsum([0, *(len(shape.vertices) for shape in shapes[:-1])])
+    faces = [shape.faces + start for shape, start in zip(shapes, starts, strict=True)]
     return ColouredMesh(
         np.concatenate([shape.vertices for shape in shapes]),
-        np.concatenate(
-            [shape.faces + start for shape, start in zip(shapes, starts, strict=True)], dtype=np.int32
-        ),
+        np.concatenate(faces, dtype=np.int32),
         np.concatenate([shape.albedo for shape in shapes]),
         np.concatenate([shape.segments for shape in shapes]),
         join_textures([shape.texture for shape in shapes], [len(shape.faces) for shape in shapes]),
@@ -115,10 +115,7 @@ class BeamSurface:
     @classmethod
     def from_faces(cls, segments: NDArray[np.uint8], albedo: Floats) -> Self:
         """The surface of faces with `segments` (F,) and `albedo` (F, 3) in linear RGB."""
-        return cls(
-            np.append(segments, np.uint8(Segment.SKY)),
-            np.append(luminance(albedo), np.float32(0.0)),
-        )
+        return cls(np.append(segments, np.uint8(Segment.SKY)), np.append(luminance(albedo), np.float32(0.0)))
 
 
 class BatchedBeamSurfaces(BatchedQueries[BeamSurface]):

@@ -55,12 +55,11 @@ class Haze:
     @classmethod
     def from_weather(cls, weather: WeatherConf) -> "Haze | None":
         """The haze of a weather; None in clear air."""
+        fog = weather.fog_visibility_m, weather.fog_colour
+        dust = weather.dust_visibility_m, weather.dust_colour
         parts = [
             (_KOSCHMIEDER / visibility, srgb_to_linear(np.array(colour)))
-            for visibility, colour in (
-                (weather.fog_visibility_m, weather.fog_colour),
-                (weather.dust_visibility_m, weather.dust_colour),
-            )
+            for visibility, colour in (fog, dust)
             if visibility is not None
         ]
         if not parts:

@@ -76,9 +76,8 @@ def grow_grass(
     if cover <= 0.0:
         return None
     xmin, xmax, ymin, ymax = terrain.extent
-    columns, rows = (
-        int(np.clip(np.ceil(side / _CELL_M), 4, _MOST_CELLS)) for side in (xmax - xmin, ymax - ymin)
-    )
+    sides = xmax - xmin, ymax - ymin
+    columns, rows = (int(np.clip(np.ceil(side / _CELL_M), 4, _MOST_CELLS)) for side in sides)
     cell_x, cell_y = (xmax - xmin) / columns, (ymax - ymin) / rows
     rng = stream(seed, "grass")
     noise = np.zeros((rows, columns))

@@ -111,9 +111,7 @@ def ground_texture(
     texture = np.zeros((rows, columns, 3))
     for colours, share in layers:
         bare = smooth_step((slope - colours.bare_from_rad) / 0.12 + 0.5 + 0.9 * edges - 0.35)[..., None]
-        low, high, earth = (
-            srgb_to_linear(np.array(colour)) for colour in (colours.low, colours.high, colours.bare)
-        )
+        low, high, earth = srgb_to_linear(np.array([colours.low, colours.high, colours.bare]))
         albedo = low + growth * (high - low)
         albedo = albedo + bare * (earth - albedo)
         # Grass has more contrast than earth.
@@ -127,13 +125,11 @@ def _surface_layers(
     surfaces: SurfaceMap, numbers: NDArray[np.uint8], ground: GroundColours, blend: float
 ) -> list[tuple[GroundColours, Array]]:
     """Colours of each surface in `numbers` and its blended share (rows, columns); default `ground`."""
-    return [
-        (
-            SURFACE_COLOURS.get(surfaces.names[number], ground),
-            scipy.ndimage.gaussian_filter((numbers == number).astype(np.float64), blend),
-        )
-        for number in np.unique(numbers).tolist()
-    ]
+    layers = []
+    for number in np.unique(numbers).tolist():
+        share = scipy.ndimage.gaussian_filter((numbers == number).astype(np.float64), blend)
+        layers.append((SURFACE_COLOURS.get(surfaces.names[number], ground), share))
+    return layers
 
 
 def _noise(
@@ -144,9 +140,8 @@ def _noise(
     for level, wavelength in enumerate(wavelengths_m):
         cells = [max(2, round(n * texel_m / wavelength)) + 3 for n in (rows, columns)]
         coarse = rng.standard_normal(cells)
-        at = np.meshgrid(
-            np.linspace(1, cells[0] - 2, rows), np.linspace(1, cells[1] - 2, columns), indexing="ij"
-        )
+        along = np.linspace(1, cells[0] - 2, rows), np.linspace(1, cells[1] - 2, columns)
+        at = np.meshgrid(*along, indexing="ij")
         weight = 0.65**level
         total += weight * scipy.ndimage.map_coordinates(coarse, at, order=2, mode="nearest")
         power += weight**2

@@ -161,8 +161,9 @@ def _boxes(conf: IslandConf, terrain: HeightField) -> list[Prop]:
                 f"box {number + 1} of {count} fits nowhere. Lower it, or raise world.radius_m."
             )
         occupied.add(xy, yaw, length, width)
-        axes = axes_of(yaw)
-        corners = xy + np.array([[1, 1], [1, -1], [-1, 1], [-1, -1], [0, 0]]) / 2 * [length, width] @ axes
+        corners = xy + np.array([[1, 1], [1, -1], [-1, 1], [-1, -1], [0, 0]]) / 2 * [length, width] @ axes_of(
+            yaw
+        )
         ground = terrain.height(corners)
         mesh = upright_box(xy, yaw, ground.min() - _SUNK_M, ground[-1] + height, length, width)
         colour = _PAINTS[int(rng.integers(len(_PAINTS)))]
@@ -171,8 +172,8 @@ def _boxes(conf: IslandConf, terrain: HeightField) -> list[Prop]:
 
 
 def _grass(conf: IslandConf, terrain: HeightField, boxes: list[Prop]) -> Grass | None:
-    standing = [prop.mesh for prop in boxes]
-    grass = grow_grass(terrain, standing, conf.grass_cover, conf.grass_height_m, conf.seed)
+    boxes_alone = [prop.mesh for prop in boxes]
+    grass = grow_grass(terrain, boxes_alone, conf.grass_cover, conf.grass_height_m, conf.seed)
     if grass is None:
         return None
     dry = terrain.height(cell_centres(terrain.extent, *grass.density.shape)) > _GRASS_FROM_M

@@ -204,9 +204,8 @@ def _place_stones(
     # Each patch of stones is one prop, since engines spend time on every body. Nothing spawns on them.
     props = []
     mixed = rng.permutation(sizes)
-    for number, patch in enumerate(
-        np.array_split(mixed, max(1, round(len(mixed) / _STONES_PER_PATCH))), start=1
-    ):
+    patches = np.array_split(mixed, max(1, round(len(mixed) / _STONES_PER_PATCH)))
+    for number, patch in enumerate(patches, start=1):
         if not len(patch):
             break
         xy = _find_free_point(terrain, occupied, rng, _PATCH_M / 2, 0.05)
@@ -227,10 +226,8 @@ def _draw_bushes(terrain: HeightField, rng: np.random.Generator, count: int) -> 
     places = np.empty((0, 2))
     while len(places) < count:
         group = _draw_point(terrain, rng) + rng.normal(0.0, 0.9, (int(rng.integers(3, 8)), 2))
-        inside = np.abs(group - np.mean(np.reshape(terrain.extent, (2, 2)), axis=1)) < [
-            (terrain.extent[1] - terrain.extent[0]) / 2 - 0.5,
-            (terrain.extent[3] - terrain.extent[2]) / 2 - 0.5,
-        ]
+        sides = np.reshape(terrain.extent, (2, 2))
+        inside = np.abs(group - np.mean(sides, axis=1)) < (sides[:, 1] - sides[:, 0]) / 2 - 0.5
         places = np.concatenate([places, group[inside.all(axis=1)]])
     return places[:count]
 

@@ -48,19 +48,16 @@ def _prop_faults(prop: Prop) -> list[str]:
         return [f"{who}: vertices and faces must be NumPy arrays"]
     faults = []
     if vertices.ndim != 2 or vertices.shape[1] != 3 or vertices.dtype.kind != "f":
-        faults.append(
-            f"{who}: vertices must be floats of shape (V, 3), not {vertices.dtype} of {vertices.shape}"
-        )
+        given = f"{vertices.dtype} of {vertices.shape}"
+        faults.append(f"{who}: vertices must be floats of shape (V, 3), not {given}")
     elif not np.isfinite(vertices).all():
         faults.append(f"{who}: vertices must be finite")
     if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu" or not len(faces):
-        faults.append(
-            f"{who}: faces must be integers of shape (F, 3), F > 0, not {faces.dtype} of {faces.shape}"
-        )
+        given = f"{faces.dtype} of {faces.shape}"
+        faults.append(f"{who}: faces must be integers of shape (F, 3), F > 0, not {given}")
     elif faces.min() < 0 or faces.max() >= len(vertices):
-        faults.append(
-            f"{who}: faces must index vertices 0 to {len(vertices) - 1}, not {faces.min()} to {faces.max()}"
-        )
+        given = f"{faces.min()} to {faces.max()}"
+        faults.append(f"{who}: faces must index vertices 0 to {len(vertices) - 1}, not {given}")
     colour = np.asarray(prop.colour, dtype=np.float64)
     if colour.shape != (3,) or not ((colour >= 0.0) & (colour <= 1.0)).all():
         faults.append(f"{who}: colour must be three numbers from 0 to 1, not {prop.colour}")

@@ -165,10 +165,8 @@ def _best_window(inside: Flags, grid: _Grid) -> _Window | None:
     """
     if not inside.any():
         return None
-    ((low_row, high_row), (low_column, high_column)) = (
-        np.flatnonzero(inside.any(axis=axis))[[0, -1]].tolist() for axis in (1, 0)
-    )
-    bounds = slice(low_row, high_row + 1), slice(low_column, high_column + 1)
+    (bounds,) = ndimage.find_objects(inside.astype(np.int8))
+    low_row, low_column = bounds[0].start, bounds[1].start
     gain = inside[bounds] * (1.0 + _OUTSIDE_COST) - grid.usable[bounds] * _OUTSIDE_COST
     integral = _integrate(grid.weight[bounds] * gain)
     best: _Window | None = None
@@ -178,8 +176,8 @@ def _best_window(inside: Flags, grid: _Grid) -> _Window | None:
             columns = slice(columns.start + low_column, columns.stop + low_column)
             if best is not None and highest <= best.score:
                 break
-            parts, _ = ndimage.label(inside[rows, columns])
-            if not parts.any():
+            parts, count = ndimage.label(inside[rows, columns])
+            if not count:
                 continue
             sizes = np.bincount(parts.reshape(-1))[1:]
             part = int(sizes.argmax())
@@ -228,9 +226,8 @@ def _find_open_square(grid: _Grid) -> RegionCandidate | None:
     middle_row, middle_column = (side / 2 for side in part.shape)
     if grid.objects.any():
         middle_row, middle_column = (float(np.median(index)) for index in np.nonzero(grid.objects))
-    away = np.hypot(
-        (columns + cells / 2 - middle_column) / part.shape[1], (rows + cells / 2 - middle_row) / part.shape[0]
-    )
+    across, up = columns + cells / 2 - middle_column, rows + cells / 2 - middle_row
+    away = np.hypot(across / part.shape[1], up / part.shape[0])
     enough = float(share.max()) * (_FREE_ENOUGH if grid.objects.any() else 1.0)
     score = np.minimum(share.reshape(-1), enough) / enough - _DISTANCE_COST * away
     best = int(score.argmax())
