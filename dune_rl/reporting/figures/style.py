@@ -121,13 +121,7 @@ def draw_legend(figure: Figure, styles: dict[str, MethodStyle]) -> None:
     ]  # fmt: skip
     across = max(1, min(len(handles), _legend_columns(figure.get_figwidth())))
     # Legends fill columns first; names shall be read along rows.
-    rows = ceil(len(handles) / across)
-    ordered = [
-        handles[row * across + column]
-        for column in range(across)
-        for row in range(rows)
-        if row * across + column < len(handles)
-    ]
+    ordered = [handle for column in range(across) for handle in handles[column::across]]
     figure.legend(handles=ordered, loc="outside upper center", ncols=across, frameon=False, handlelength=2.8)
 
 
