@@ -94,7 +94,9 @@ def _job(config: DictConfig) -> float | None:
         multiprocessing.set_start_method("spawn", force=True)
     try:
         # Hydra knows neither the shorthands of agent groups nor options that groups name.
-        conf = compose(Conf, engine.overrides.task, _folders_of(engine))
+        sources = engine.runtime.config_sources
+        folders = [source.path for source in sources if source.provider == "command-line"]
+        conf = compose(Conf, engine.overrides.task, folders)
         conf = conf.model_copy(update={"run_dir": engine.runtime.output_dir})
         with _cores_of_a_sweep(conf, engine):
             result = train(conf, words=engine.overrides.task)
@@ -114,11 +116,6 @@ def _job(config: DictConfig) -> float | None:
     return None
 
 
-def _folders_of(engine: Any) -> list[str]:
-    sources = engine.runtime.config_sources
-    return [source.path for source in sources if source.provider == "command-line"]
-
-
 @contextmanager
 def _cores_of_a_sweep(conf: Conf, engine: Any) -> Iterator[None]:
     """Wait for cores where jobs of a sweep run side by side on this machine.
@@ -133,13 +130,9 @@ def _cores_of_a_sweep(conf: Conf, engine: Any) -> Iterator[None]:
 
     collector = conf.learning.collector
     needed = collector.processes + (conf.learning.threads or learner_threads(collector))
-    number = engine.job.num
-    with reserve_cores(
-        Path(engine.sweep.dir).absolute() / ".cores",
-        needed,
-        available_cores(),
-        lambda: print(f"job {number} waits for {needed} free cores", flush=True),
-    ):
+    told = f"job {engine.job.num} waits for {needed} free cores"
+    folder = Path(engine.sweep.dir).absolute() / ".cores"
+    with reserve_cores(folder, needed, available_cores(), lambda: print(told, flush=True)):
         yield
 
 

@@ -147,6 +147,7 @@ class ParsedOverrides:
 def parse_overrides(overrides: Sequence[str], loader: ConfigLoader) -> ParsedOverrides:
     """Parse overrides and sort them by what they do; unreadable and unknown ones become faults."""
     parser = OverridesParser.create(config_loader=loader)
+    folders = group_names(loader)
     groups: list[Override] = []
     values: list[Override] = []
     engine: list[Override] = []
@@ -165,12 +166,12 @@ def parse_overrides(overrides: Sequence[str], loader: ConfigLoader) -> ParsedOve
             key = override.key_or_group
         if override.is_hydra_override() or key.startswith("hydra."):
             engine.append(override)
-        elif _is_group(loader, key) and not isinstance(override.value(), dict):
+        elif key in folders and not isinstance(override.value(), dict):
             found = _option_faults(override, loader)
             faults += found
             (faulty_groups.add(key) if found else groups.append(override))
         elif "/" in key:
-            faults.append(f"there is no group {key!r}; choose from {', '.join(group_names(loader))}")
+            faults.append(f"there is no group {key!r}; choose from {', '.join(folders)}")
         else:
             values.append(override)
     return ParsedOverrides(
@@ -211,10 +212,6 @@ def sweep_values(override: Override) -> list[Override]:
 def _changes_group(override: Override) -> bool:
     section, _, rest = str(override.key_or_group).partition(".")
     return section in ("agents", "actors") and bool(rest) and not override.is_delete()
-
-
-def _is_group(loader: ConfigLoader, key: str) -> bool:
-    return key in group_names(loader)
 
 
 def _option_faults(override: Override, loader: ConfigLoader) -> list[str]:

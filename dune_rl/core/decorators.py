@@ -1,7 +1,7 @@
 """The decorators `dune_rl.register_world`, `register_reward`, ...: each fills one registry."""
 
-import importlib
 from collections.abc import Callable
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 if TYPE_CHECKING:
@@ -34,8 +34,7 @@ class RegisterDecorator:
 
     def _register(self, target: Any, name: str | None) -> Any:
         # Only now: registries lie beside their parts, and dune_rl itself must import fast.
-        module, _, attribute = self._location.partition(":")
-        registry: Registry[Any] = getattr(importlib.import_module(module), attribute)
+        registry: Registry[Any] = resolve_name(self._location)
         registry.register(target, name)
         if self._then is not None:
             self._then(name if name is not None else target.__name__)

@@ -5,12 +5,12 @@ parts, by import path (`"module:attribute"`, imported on first use); entry point
 `dune_rl.worlds`, `dune_rl.rewards`, ...; listed without importing them); and parts registered at run time.
 """
 
-import importlib
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import EntryPoint
+from pkgutil import resolve_name
 from typing import Any, ClassVar, Generic, TypeVar
 
 from dune_rl.core import plugins
@@ -257,8 +257,7 @@ class Registry(Generic[ProductT]):
     # -- loading ----------------------------------------------------------------------------------
 
     def _read_own(self, name: str) -> RegisteredPart:
-        module, _, attribute = self.own[name].partition(":")
-        target = getattr(importlib.import_module(module), attribute)
+        target = resolve_name(self.own[name])
         origin = f"the {self.kind} {name!r} of dune_rl"
         signature = self._signature_of(target, name, origin)
         own = signature.settings_type
@@ -328,8 +327,7 @@ def _annotations(base: type) -> Mapping[str, Any]:
 
 
 def _restore_settings(location: str, name: str, target: Any, values: dict[str, Any]) -> Any:
-    module, _, attribute = location.partition(":")
-    registry: Registry[Any] = getattr(importlib.import_module(module), attribute)
+    registry: Registry[Any] = resolve_name(location)
     if target is not None and name not in registry._user_parts:
         registry.register(target, name)
     settings = registry.settings_class(name)

@@ -99,6 +99,7 @@ class Algorithm(ABC):
         return {"policy": dict(self.policy.network.state_dict()), "updates": self.updates}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """The inverse of `state_dict`."""
         self.policy.network.load_state_dict(state["policy"])
         self.updates = state["updates"]
 

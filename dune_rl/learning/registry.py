@@ -1,6 +1,6 @@
 """Registry of learning algorithms."""
 
-import importlib
+from pkgutil import resolve_name
 from typing import Any
 
 from dune_rl.core.errors import CheckpointError
@@ -18,8 +18,7 @@ class AlgorithmRegistry(Registry[Any]):
         """The settings class of the algorithm `name`, None where there is none."""
         if name not in _OWN_SETTINGS:
             return super().settings_class(name)
-        module, _, attribute = _OWN_SETTINGS[name].partition(":")
-        return getattr(importlib.import_module(module), attribute)
+        return resolve_name(_OWN_SETTINGS[name])
 
 
 ALGORITHMS = AlgorithmRegistry(
