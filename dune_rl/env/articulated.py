@@ -6,13 +6,13 @@ from functools import cached_property
 import numpy as np
 
 from dune_rl.behaviours.drivers.context import Unicycle
-from dune_rl.env.body import SceneBodies
+from dune_rl.env.body import Body, SceneBodies
 from dune_rl.env.latency import Latency
 from dune_rl.env.proximity import Outline
 from dune_rl.env.randomised_properties import EpisodeVariation
 from dune_rl.env.scene_spec import standing_pose
 from dune_rl.env.traction import Traction, drag_forces
-from dune_rl.geometry.arrays import Array, Counts, Flags
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import derive_motion
 from dune_rl.physics.interface import PhysicsConf, PhysicsRobot, PhysicsScene
 from dune_rl.rendering.moving_mesh import MovingMesh, PosedMesh
@@ -29,10 +29,8 @@ from dune_rl.worlds.world import World
 # are slower, worlds are smaller, and components of unit quaternions are at most 1.
 _STATE_LIMITS = np.repeat([1e5, 1.01, 50.0, 200.0], [3, 4, 3, 3])
 
-# Of robots that do not say how they turn.
 
-
-class ArticulatedBody:
+class ArticulatedBody(Body):
     """The bodies of N robots of one kind, rows scene after scene: a `Body` that physics simulates.
 
     `latency` delays the commands, if it is not None. `engines` are the robots in physics, one per row.
@@ -80,16 +78,13 @@ class ArticulatedBody:
         )
 
     def action_bounds(self) -> tuple[Array, Array]:
-        """Lower and upper bounds of the action, each (A,)."""
         actions = self.robot.description.actions
         return actions.low, actions.high
 
     def rest_action(self) -> Array:
-        """Action (A,) at which the robot stands still."""
         return self.robot.description.actions.rest
 
     def vehicle(self) -> Unicycle:
-        """The model of the robot for behaviours that output a speed and a heading."""
         robot, (low, high) = self.robot.description, self.action_bounds()
         steering = None if robot.wheels is None else robot.wheels.steering
         return Unicycle(
@@ -104,7 +99,6 @@ class ArticulatedBody:
         )
 
     def carrier(self) -> SensorCarrier:
-        """The robot as a carrier of sensors."""
         described = self.robot.description
         mounts, wheels = described.mounts, described.wheels
         drive: WheelMotion | None = None
@@ -124,7 +118,6 @@ class ArticulatedBody:
         )
 
     def mesh(self) -> MovingMesh:
-        """What the sensors of others see."""
         return robot_mesh(self.robot.body)
 
     @cached_property
@@ -154,7 +147,6 @@ class ArticulatedBody:
 
     @property
     def energy(self) -> EnergyState | None:
-        """Motor work in the last control step, and the battery; None unless it is measured."""
         return None if self.work_j is None else EnergyState(self.work_j, self.robot.description.battery)
 
     # -- a new episode ----------------------------------------------------------------------------
@@ -164,13 +156,8 @@ class ArticulatedBody:
         self.robot.reset(mask)
 
     def bind(self, scene: int, physics: PhysicsScene) -> None:
-        """Take the robots of a scene from its physics, which may have been built anew."""
         robots = list(physics.robots[self.first : self.first + self.count])
         self.engines[scene * self.count : (scene + 1) * self.count] = robots
-
-    def turned_to_free_way(self, scene: int, poses: Array) -> Array:
-        """The start `poses` (G, 4) as they are: robots find their way out."""
-        return poses
 
     def place(self, scene: int, poses: Array) -> None:
         """Set the start poses of a scene's robots to `poses` (G, 4: x, y, z, yaw), standing on the ground."""
@@ -219,20 +206,6 @@ class ArticulatedBody:
 
     # -- a step -----------------------------------------------------------------------------------
 
-    def come(self, row: int, pose: Array) -> None:
-        """Robots are always in their scenes."""
-        raise AssertionError("robots do not come and go")
-
-    def park(self, rows: Counts) -> None:
-        """Robots are always in their scenes."""
-        raise AssertionError("robots do not come and go")
-
-    def teleport(self, rows: Counts) -> None:
-        """Nothing: physics has the robots' poses."""
-
-    def hold_back(self, scenes: Counts, poses: Array) -> None:
-        """Nothing: physics moves robots."""
-
     def command(self, actions: Array, known: BodyMotion) -> None:
         """Command the motors for `actions` (N, A), and apply the resistance of grass and soft ground.
 
@@ -257,7 +230,6 @@ class ArticulatedBody:
         return rolling + grass
 
     def read(self) -> list[tuple[int, int]]:
-        """Read the states after a physics step; returns contacts as pairs of row and body number."""
         reads_joints = self._reads_joints
         states, drives, contacts = [], [], []
         engines = self.engines
@@ -322,6 +294,6 @@ class ArticulatedBody:
         )
 
     @property
-    def poses(self) -> Array:
+    def poses(self) -> Array:  # type: ignore[override]
         """Poses (N, 4: x, y, z, yaw) [m, rad] of the origins."""
         return np.column_stack([self.motion.position_w, self.motion.yaw])

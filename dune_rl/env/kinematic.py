@@ -10,10 +10,9 @@ import numpy as np
 from dune_rl.behaviours.drivers.context import Unicycle
 from dune_rl.bodies.motion import MOTION_MODELS, Step, stopping_distance
 from dune_rl.bodies.settings import BodySettings
-from dune_rl.env.body import SceneBodies
+from dune_rl.env.body import Body, SceneBodies
 from dune_rl.env.heights import AltitudeController, Stance, turning_rates
 from dune_rl.env.proximity import Outline
-from dune_rl.env.randomised_properties import EpisodeVariation
 from dune_rl.env.room import Room
 from dune_rl.geometry.arrays import Array, Counts, Flags
 from dune_rl.geometry.compiled import compile_function
@@ -25,7 +24,6 @@ from dune_rl.state.body_description import BodyDescription
 from dune_rl.state.sensor_carrier import SensorCarrier
 from dune_rl.state.state import Motion
 from dune_rl.worlds.batched_worlds import BatchedWorlds
-from dune_rl.worlds.world import World
 
 Scenes = Counts
 
@@ -42,7 +40,7 @@ _STRIDES_APART = 0.37
 _PARKED_AWAY_M, _PARKED_DEEP_M, _PARKED_APART_M = 1e5, 1e3, 20.0
 
 
-class KinematicBody:
+class KinematicBody(Body):
     """N equal bodies that go where they are told, rows scene after scene: a `Body` without physics.
 
     `poses` (N, 6) are x, y, z [m], yaw, roll and pitch [rad], from a command on those of the end of its
@@ -108,7 +106,7 @@ class KinematicBody:
             rear_axle_m=self.limits.rear_m,
             max_water_m=conf.max_water_m,
         )
-        self.energy, self.reads_joints = None, False
+        self.reads_joints = False
 
     @property
     def _leans(self) -> bool:
@@ -127,7 +125,6 @@ class KinematicBody:
         return np.array(low) + 0.0, np.array(high)
 
     def rest_action(self) -> Array:
-        """Action at which the body stands still, or hovers."""
         return np.zeros(2 if self._flight is None else 3)
 
     def vehicle(self) -> Unicycle:
@@ -152,11 +149,9 @@ class KinematicBody:
         )
 
     def carrier(self) -> SensorCarrier:
-        """The body as a carrier of sensors."""
         return self.conf.carrier()
 
     def mesh(self) -> MovingMesh:
-        """What the sensors of others see."""
         return self.conf.mesh()
 
     @cached_property
@@ -169,25 +164,13 @@ class KinematicBody:
         shape = self._mesh.frame(motion.frames[row])
         return [PosedMesh(shape, motion.position_w[row].copy(), motion.rotation[row].copy())]
 
-    def joint_angles(self, row: int) -> dict[str, float]:
-        """None: the body has no joints."""
-        return {}
-
     def shapes(self, names: tuple[str, ...]) -> SceneBodies:
-        """A shape that physics moves for each of the agents' `names`."""
         return SceneBodies(kinematics=tuple(self.conf.collision_shape(name) for name in names))
 
     # -- a new episode ----------------------------------------------------------------------------
 
-    def reset(self, mask: Flags) -> None:
-        """Nothing is kept from one episode to the next but what `place` sets."""
-
     def bind(self, scene: int, physics: PhysicsScene) -> None:
-        """Take the physics of a scene, which may have been built anew."""
         self._scenes[scene] = physics
-
-    def touch_ground(self, scene: int, world: World, variation: EpisodeVariation) -> None:
-        """Nothing: the bodies have no contacts of their own."""
 
     def place(self, scene: int, poses: Array) -> None:
         """Put the bodies of a scene at `poses` (G, 4 or more), at rest; `read_start` must follow."""
@@ -222,7 +205,6 @@ class KinematicBody:
         self._velocity[rows], self._backing_m[rows] = 0.0, 0.0
 
     def park(self, rows: Counts) -> None:
-        """Take the bodies in `rows` (K,) out of their scenes, until the next `place` or `come`."""
         extents, agents = self._worlds.extents[rows // self.count], rows % self.count
         self.poses = self.poses.copy()
         self.poses[rows] = 0.0
@@ -233,7 +215,6 @@ class KinematicBody:
         self._velocity[rows], self._backing_m[rows] = 0.0, 0.0
 
     def teleport(self, rows: Counts) -> None:
-        """Put the bodies in `rows` (K,) where they are now in physics as well, between control steps."""
         for row in rows.tolist():
             scene, agent = divmod(row, self.count)
             self._scenes[scene].move_kinematic(self.first + agent, self.poses[row])

@@ -9,29 +9,23 @@ from dune_rl.behaviours.trajectory import TrajectoryFollower
 from dune_rl.core.seeding import stream
 from dune_rl.env.body import Body
 from dune_rl.env.starts.region import Spawners
-from dune_rl.env.starts.source import Asked, StartDraw, Taken, TakenPlaces
+from dune_rl.env.starts.source import Asked, StartDraw, StartSource, Taken, TakenPlaces
 from dune_rl.geometry.arrays import Array, Counts, Flags
 from dune_rl.tasks.spawn import Placement
 from dune_rl.worlds.world import World
 
 
-class _FollowerStarts:
+class _FollowerStarts(StartSource):
     """Starts and goals that a follower of paths or trajectories has for N = M * G agents."""
 
-    faces_free_way = False
     follower: PathFollower | TrajectoryFollower
     reach_m: float
 
     @property
-    def goals_w(self) -> Array:
-        """Goals (N, 2) [m]."""
+    def goals_w(self) -> Array:  # type: ignore[override]
         return self.follower.goals_w
 
-    def check_count(self, world: World, draw: StartDraw, taken: list[Taken]) -> None:
-        """Nothing: agents on paths start as far from others as their paths allow."""
-
     def occupy(self, taken: TakenPlaces, body: Body, scene: int) -> None:
-        """Add discs that hold the bodies of a scene to `taken`."""
         rows = slice(scene * body.count, (scene + 1) * body.count)
         reach = np.full(body.count, self.reach_m)
         taken.discs = np.concatenate([taken.discs, np.column_stack([body.poses[rows, :2], reach])])
@@ -89,10 +83,6 @@ class PathStarts(_FollowerStarts):
         """Drop what was found in all other worlds; paths live as long as their worlds."""
         self._spawners.keep(worlds)
 
-    def fixed_starts(self, world: World) -> list[Taken]:
-        """None: starts are drawn on the paths."""
-        return []
-
     def place(self, draw: StartDraw, agents: Sequence[int], taken: TakenPlaces, asked: Asked) -> Array:
         """Start all agents of a scene on paths, and return the poses of `agents`."""
         draws = stream(draw.seed, self._starts_stream, draw.episode)
@@ -127,12 +117,6 @@ class TrajectoryStarts(_FollowerStarts):
     def prepare(self, world: World, seed: int) -> None:
         """Take the trajectories through `world`; raises `WorldError` if there are fewer than agents."""
         self.follower.find_trajectories(world)
-
-    def replan(self, world: World, seed: int) -> None:
-        """Nothing: trajectories depend on their worlds alone."""
-
-    def keep(self, worlds: Collection[World]) -> None:
-        """Nothing: trajectories live as long as their worlds."""
 
     def fixed_starts(self, world: World) -> list[Taken]:
         """Where the agents start, as placements that stay there."""

@@ -9,7 +9,7 @@ from dune_rl.core.errors import WorldError
 from dune_rl.core.seeding import stream
 from dune_rl.env.body import Body
 from dune_rl.env.requests import AgentRequest
-from dune_rl.env.starts.source import Asked, StartDraw, Taken, TakenPlaces
+from dune_rl.env.starts.source import Asked, StartDraw, StartSource, Taken, TakenPlaces
 from dune_rl.geometry.arrays import Array, Counts, Flags
 from dune_rl.geometry.shared_per_scene import SharedPerScene
 from dune_rl.tasks.spawn import Placement, SpawnConf, SpawnedBody, Spawner
@@ -77,7 +77,7 @@ class StartContext:
     spawn: SpawnConf
 
 
-class RegionStarts:
+class RegionStarts(StartSource):
     """Start poses and goals of M * G agents, sampled by a `Spawner` in a region of the world.
 
     A subclass may draw in another way: see `draw_start` and `draw_goal`.
@@ -137,25 +137,13 @@ class RegionStarts:
         """Find the free space of `world`; raises `WorldError` if there is no room."""
         self._spawners.of(world)
 
-    def replan(self, world: World, seed: int) -> None:
-        """Nothing: the free space does not depend on the seed."""
-
     def keep(self, worlds: Collection[World]) -> None:
         """Drop the free space of all other worlds."""
         self._spawners.keep(worlds)
 
-    def fixed_starts(self, world: World) -> list[Taken]:
-        """None: all starts are drawn."""
-        return []
-
-    def example_paths(self, agent: int) -> list[Array]:
-        """None: agents find their own ways."""
-        return []
-
     # -- starts -----------------------------------------------------------------------------------
 
     def place(self, draw: StartDraw, agents: Sequence[int], taken: TakenPlaces, asked: Asked) -> Array:
-        """Sample starts and goals of a scene's `agents`; see `StartSource.place`."""
         poses, scene = np.zeros((len(agents), 4)), draw.scene
         self._difficulty[scene] = draw.difficulty
         for index, agent in enumerate(agents):
@@ -204,11 +192,9 @@ class RegionStarts:
         return pose
 
     def occupy(self, taken: TakenPlaces, body: Body, scene: int) -> None:
-        """Add the outlines of the bodies of a scene to `taken`."""
         taken.points.append(body.outline_points(scene))
 
     def check_count(self, world: World, draw: StartDraw, taken: list[Taken]) -> None:
-        """Add what `place` would sample in `world` to `taken`; raises `WorldError` if there is no room."""
         for agent in range(self._count):
             placement = self._sample(self._spawners.of(world), self._stream(draw, agent), taken)
             taken.append((placement, self.footprint_radius_m))
@@ -216,7 +202,6 @@ class RegionStarts:
     # -- goals ------------------------------------------------------------------------------------
 
     def set_goals(self, rows: Counts, goals_w: Array) -> None:
-        """Set the goals of the agents in `rows` (K,) to `goals_w` (K, 2) [m]."""
         self.goals_w = self.goals_w.copy()
         self.goals_w[rows] = goals_w
 
@@ -245,6 +230,3 @@ class RegionStarts:
             reach = self.footprint_radius_m + self.conf.robots_apart_m + other.footprint_radius_m
             apart.append(np.full(2 * len(rows), reach))
         return np.concatenate(points), np.concatenate(apart)
-
-    def hold_back(self, scenes: Counts, poses: Array, absent: Flags | None) -> None:
-        """Nothing: goals stay where they are."""

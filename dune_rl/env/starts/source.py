@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -54,40 +54,34 @@ class TakenPlaces:
         return np.concatenate([np.zeros((0, 2)), *self.points])
 
 
-class StartSource(Protocol):
+class StartSource:
     """Starts and goals of N = M * G agents, rows scene after scene.
 
-    Sources of lower `rank` are placed first. `faces_free_way` says whether bodies that cannot turn on the
+    `goals_w` (N, 2) [m] are the goals; the array is never written afterwards. Sources of lower `rank` are
+    placed first. `faces_free_way` says whether bodies that cannot turn on the
     spot may be turned at their starts.
     """
 
     rank: int
-    faces_free_way: bool
-
-    @property
-    def goals_w(self) -> Array:
-        """Goals (N, 2) [m]; the array is never written afterwards."""
-        ...
+    faces_free_way = False
+    goals_w: Array
 
     def prepare(self, world: World, seed: int) -> None:
         """Find what starts need in `world`; raises `WorldError` if there is no room."""
-        ...
+        raise NotImplementedError
 
     def replan(self, world: World, seed: int) -> None:
         """Drop what depends on the seed, and find it anew in `world`."""
-        ...
 
     def keep(self, worlds: Collection[World]) -> None:
         """Drop what was found in all other worlds."""
-        ...
 
     def fixed_starts(self, world: World) -> list[Taken]:
         """Starts that never change, which all other agents avoid."""
-        ...
+        return []
 
     def check_count(self, world: World, draw: StartDraw, taken: list[Taken]) -> None:
         """Add what `place` would sample in `world` to `taken`; raises `WorldError` if there is no room."""
-        ...
 
     def place(self, draw: StartDraw, agents: Sequence[int], taken: TakenPlaces, asked: Asked) -> Array:
         """Start poses (len(agents), 4: x, y, z, yaw) of a scene's `agents`, whose goals are set as well.
@@ -95,31 +89,30 @@ class StartSource(Protocol):
         The places are added to `taken.placements`. `asked` has requested starts and goals by agent. Raises
         `WorldError` if there is no room.
         """
-        ...
+        raise NotImplementedError
 
     def admit(self, draw: StartDraw, agent: int, taken: TakenPlaces) -> Array | None:
         """A start pose (4) for an agent that comes later; None without room now."""
-        ...
+        raise NotImplementedError
 
     def occupy(self, taken: TakenPlaces, body: Body, scene: int) -> None:
         """Add where the bodies of a scene are to `taken`, for starts on paths."""
-        ...
+        raise NotImplementedError
 
     def renew(self, mask: Flags) -> None:
         """Set new goals for the agents in `mask` (N,)."""
-        ...
+        raise NotImplementedError
 
     def set_goals(self, rows: Counts, goals_w: Array) -> None:
         """Set the goals of the agents in `rows` (K,) to `goals_w` (K, 2) [m]."""
-        ...
+        raise NotImplementedError
 
     def hold_back(self, scenes: Counts, poses: Array, absent: Flags | None) -> None:
         """Take note that robots limited the agents of `scenes` (S,) to `poses` (S, G, 4 or more).
 
         `absent` (N,) marks agents that are not in their scenes.
         """
-        ...
 
     def example_paths(self, agent: int) -> list[Array]:
         """Ways (P, 2) [m] that an agent may take in scene 0, for maps."""
-        ...
+        return []
