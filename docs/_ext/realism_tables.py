@@ -7,7 +7,7 @@ from dune_rl.sensors.realism.camera import CameraRealismConf
 from dune_rl.sensors.realism.lidar import LidarRealismConf
 from dune_rl.sensors.realism.noise import NoiseConf
 from dune_rl.sensors.realism.pipeline import ReadingRealismConf, RealismConf
-from dune_rl.sensors.realism.presets import PARTS
+from dune_rl.sensors.realism.presets import PRESETS
 from dune_rl.sensors.registry import SENSORS
 
 _COMMON = frozenset(RealismConf.model_fields)
@@ -31,7 +31,7 @@ def sensors_table() -> str:
         channels = ", ".join(f"`{name}`" for name in _channels(model))
         about = as_code(first_paragraph(model.__doc__ or ""))
         about = f"{about} Channels: {channels}." if channels else f"{about} Settings of its own, below."
-        devices = [f"`{name}`" for name, part in PARTS.items() if part.kind == model.kind]
+        devices = [f"`{name}`" for name, part in PRESETS.items() if part.kind == model.kind]
         values = devices or [f"`{{{name}: {{noise: 0.02}}}}`" for name in _channels(model)[:1]]
         rows.append(f"| `{sensor}` | {about} | {', '.join(values)} |")
     return "\n".join(["| sensor | faults | values |", "|---|---|---|", *rows])
@@ -57,5 +57,5 @@ def faults_table(name: str) -> str:
 
 def devices_table() -> str:
     """The known devices."""
-    rows = [f"| `{name}` | {part.kind} | {as_code(part.name)} |" for name, part in PARTS.items()]
+    rows = [f"| `{name}` | {part.kind} | {as_code(part.name)} |" for name, part in PRESETS.items()]
     return "\n".join(["| name | sensor | device |", "|---|---|---|", *rows])

@@ -118,8 +118,8 @@ class SteeringGeometry:
 class AckermannConf(Settings):
     """Limits of the drive.
 
-    `arc_speed_mps` is the speed at most at which it drives the smallest circle where a heading is commanded
-    without the speed that it takes. `max_steering_rate_radps` is that of the wheels about their pivots.
+    `arc_speed_mps` is the speed limit on the smallest turning circle, when only a heading is commanded.
+    `max_steering_rate_radps` is the speed limit of the wheels about their pivots.
     """
 
     max_speed_mps: float = Field(1.0, gt=0.0, le=10.0)

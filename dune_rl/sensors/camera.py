@@ -17,7 +17,7 @@ from dune_rl.sensors.beams import columns_by_mesh
 from dune_rl.sensors.lens import Lens, LensConf
 from dune_rl.sensors.pixels import depths_along_axis, look_up_colours, tile_order, unpack_colours
 from dune_rl.sensors.realism.camera import CameraRealismConf
-from dune_rl.sensors.realism.presets import PARTS
+from dune_rl.sensors.realism.presets import PRESETS
 from dune_rl.sensors.sensor import MOUNT, Mount, mount_position
 from dune_rl.sensors.settings import SensorSettings
 
@@ -35,7 +35,7 @@ class CameraConf(LensConf, SensorSettings):
     from_carrier: ClassVar = {"mount_b": "camera_b", "pitch_deg": "camera_pitch_deg"}
     # The depth of one device and the colours of another.
     default_realism: ClassVar = CameraRealismConf.model_validate(
-        {**PARTS["realsense_d435"].settings, **PARTS["raspberry_pi_v2"].settings}
+        {**PRESETS["realsense_d435"].settings, **PRESETS["raspberry_pi_v2"].settings}
     )
 
     sensor: Literal["camera"] = "camera"

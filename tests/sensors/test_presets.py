@@ -6,7 +6,7 @@ from pydantic import ValidationError
 from dune_rl.sensors.realism.camera import CameraRealismConf
 from dune_rl.sensors.realism.lidar import LidarRealismConf
 from dune_rl.sensors.realism.pipeline import ImuRealismConf, PositionRealismConf, SpeedRealismConf
-from dune_rl.sensors.realism.presets import PARTS, find_part
+from dune_rl.sensors.realism.presets import PRESETS, find_preset
 
 KINDS = {
     "imu": ImuRealismConf,
@@ -59,12 +59,12 @@ def test_an_unknown_part_is_refused_with_those_there_are(conf, word, message):
         conf.model_validate(word)
     if conf.kind:
         with pytest.raises(ValueError, match=message):
-            find_part(word, conf.kind)
+            find_preset(word, conf.kind)
 
 
-@pytest.mark.parametrize("name", PARTS)
+@pytest.mark.parametrize("name", PRESETS)
 def test_every_part_is_valid_and_each_of_its_figures_has_a_source(name):
-    part = find_part(name)
+    part = find_preset(name)
     conf = KINDS[part.kind].model_validate(name)
     assert conf.preset == name
     assert conf.steps(0.05)

@@ -158,7 +158,8 @@ def way_left(ways: Any, origin: Any, x: float, y: float) -> float:
 class LocalMap:
     """Maps (N, cells, cells) of 32 by 32 m that move along with N bodies, in the frames of their odometry.
 
-    A cell is an obstacle after two returns; beams that pass it take that back. What moves is left out.
+    A cell is an obstacle after two returns. Beams that pass through a cell clear it. Returns from moving
+    objects are ignored.
     `ways` are the costs to the goals, `origins` (N, 2) the numbers of the maps' first columns and rows.
     """
 

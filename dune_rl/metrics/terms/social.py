@@ -106,10 +106,10 @@ class NearMisses:
 
 
 class Encounters:
-    """How many encounters there were whose smallest gap was from `least_m` up to `most_m`.
+    """Number of encounters with a minimum gap in [`least_m`, `most_m`).
 
-    An encounter is a spell in which the gap to the nearest other agent stays below `within_m`. One that still
-    goes on counts by its smallest gap so far.
+    An encounter lasts while the gap to the nearest other agent stays below `within_m`. An encounter that
+    has not ended counts by its minimum gap so far.
     """
 
     def __init__(

@@ -10,7 +10,7 @@ from dune_rl.core.settings import Settings
 from dune_rl.geometry.arrays import Flags
 from dune_rl.sensors.draws import Rows
 from dune_rl.sensors.realism.noise import AngleNoiseConf, Faults, ImuFaults, NoiseConf
-from dune_rl.sensors.realism.presets import PartKind, find_part
+from dune_rl.sensors.realism.presets import SensorKind, find_preset
 from dune_rl.sensors.sensor import Bounds, Reading, Sensor
 from dune_rl.state.state import GroupState, State
 
@@ -31,7 +31,7 @@ class RealismConf(Settings):
     entries.
     """
 
-    kind: ClassVar[PartKind | None] = None
+    kind: ClassVar[SensorKind | None] = None
     layout: ClassVar[tuple[str, ...]] = ()
     repeats: ClassVar[bool] = False
 
@@ -52,7 +52,7 @@ class RealismConf(Settings):
             return data
         if cls.kind is None:
             raise ValueError(f"preset must be null (got {data['preset']!r}): no parts are known here")
-        merged = {**find_part(data["preset"], cls.kind).settings}
+        merged = {**find_preset(data["preset"], cls.kind).settings}
         for name, given in data.items():
             both = isinstance(given, Mapping) and isinstance(merged.get(name), Mapping)
             merged[name] = {**merged[name], **given} if both else given

@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-PartKind = Literal["imu", "lidar", "camera", "position"]
+SensorKind = Literal["imu", "lidar", "camera", "position"]
 
 _G = 9.80665
 _DEG = float(np.pi / 180)
@@ -31,13 +31,13 @@ _D4XX = "Intel, 'BKMs for tuning D4xx': z² * 0.08 / (424 * 0.05), for 848 colum
 
 
 @dataclass(frozen=True)
-class SensorPart:
+class SensorPreset:
     """A real part: for each setting of its kind of sensor, by its dotted name, the value and its source.
 
     A source that begins with "estimate" is no more than that.
     """
 
-    kind: PartKind
+    kind: SensorKind
     name: str
     figures: Mapping[str, tuple[Any, str]]
 
@@ -51,8 +51,8 @@ class SensorPart:
         return found
 
 
-PARTS: Mapping[str, SensorPart] = {
-    "bno055": SensorPart(
+PARTS: Mapping[str, SensorPreset] = {
+    "bno055": SensorPreset(
         "imu",
         "Bosch BNO055, in a fusion mode, where it takes its own offsets off",
         {
@@ -67,7 +67,7 @@ PARTS: Mapping[str, SensorPart] = {
             "heading.quantum": (_DEG / 16, "1° = 16 LSB: angle_scale in BNO055.cpp by 5hel2l2y, os.mbed.com"),
         },
     ),
-    "mpu6050": SensorPart(
+    "mpu6050": SensorPreset(
         "imu",
         "InvenSense MPU-6050 at ±16 g and ±2000 °/s, its gyroscope zeroed at rest",
         {
@@ -86,7 +86,7 @@ PARTS: Mapping[str, SensorPart] = {
             "tilt.bias": (50e-3 / 3, "the accelerometer's bias over gravity, as levelling by it gives"),
         },
     ),
-    "xsens_mti_1": SensorPart(
+    "xsens_mti_1": SensorPreset(
         "imu",
         "Xsens MTi-1",
         {
@@ -97,7 +97,7 @@ PARTS: Mapping[str, SensorPart] = {
             "tilt.bias": (0.5 * _DEG, "estimate: half a degree, as levelling by its accelerometer gives"),
         },
     ),
-    "xsens_mti_630": SensorPart(
+    "xsens_mti_630": SensorPreset(
         "imu",
         "Xsens MTi-630",
         {
@@ -110,7 +110,7 @@ PARTS: Mapping[str, SensorPart] = {
             "heading.bias": (1.0 * _DEG, f"1° RMS, taken as constant over an episode: {_MTI_630}"),
         },
     ),
-    "adis16448": SensorPart(
+    "adis16448": SensorPreset(
         "imu",
         "Analog Devices ADIS16448, as calibrated for a visual-inertial data set",
         {
@@ -123,7 +123,7 @@ PARTS: Mapping[str, SensorPart] = {
             "tilt.bias": (0.5 * _DEG, "estimate: half a degree, as levelling by its accelerometer gives"),
         },
     ),
-    "rplidar_a1": SensorPart(
+    "rplidar_a1": SensorPreset(
         "lidar",
         "SLAMTEC RPLIDAR A1M8",
         {
@@ -132,7 +132,7 @@ PARTS: Mapping[str, SensorPart] = {
             "half_return_m": (12.0, f"12 m for white objects, taken as where half return: {_RPLIDAR_A1}"),
         },
     ),
-    "rplidar_a2m8": SensorPart(
+    "rplidar_a2m8": SensorPreset(
         "lidar",
         "SLAMTEC RPLIDAR A2M8",
         {
@@ -141,7 +141,7 @@ PARTS: Mapping[str, SensorPart] = {
             "half_return_m": (12.0, f"range of 12 m, taken as where half return: {_RPLIDAR_A2}"),
         },
     ),
-    "rplidar_a3": SensorPart(
+    "rplidar_a3": SensorPreset(
         "lidar",
         "SLAMTEC RPLIDAR A3M1 in its outdoor mode",
         {
@@ -151,7 +151,7 @@ PARTS: Mapping[str, SensorPart] = {
             "reflectance": ((0.16, 1.0), f"black objects to 10 m, white to 25, squared: {_RPLIDAR_A3}"),
         },
     ),
-    "hokuyo_utm_30lx": SensorPart(
+    "hokuyo_utm_30lx": SensorPreset(
         "lidar",
         "Hokuyo UTM-30LX, which scans at 40 Hz: each control step",
         {
@@ -159,7 +159,7 @@ PARTS: Mapping[str, SensorPart] = {
             "half_return_m": (30.0, "range of 30 m, taken as where half return: BlenSor's generic LIDAR"),
         },
     ),
-    "velodyne_vlp16": SensorPart(
+    "velodyne_vlp16": SensorPreset(
         "lidar",
         "Velodyne VLP-16, one of its rings",
         {
@@ -168,7 +168,7 @@ PARTS: Mapping[str, SensorPart] = {
             "half_return_m": (100.0, "range of 100 m, taken as where half return: the same table"),
         },
     ),
-    "ouster_os1": SensorPart(
+    "ouster_os1": SensorPreset(
         "lidar",
         "Ouster OS1, one of its rings",
         {
@@ -179,7 +179,7 @@ PARTS: Mapping[str, SensorPart] = {
             "reflectance": ((1 / 9, 1.0), f"40 m at 10 % where 120 m at 80 %, squared: {_OS1}"),
         },
     ),
-    "dune_paper": SensorPart(
+    "dune_paper": SensorPreset(
         "lidar",
         "no part, but what the published simulation has written and switched off",
         {
@@ -187,7 +187,7 @@ PARTS: Mapping[str, SensorPart] = {
             "dropout": (0.05, "the published simulation's code: 5 % to the largest range"),
         },
     ),
-    "raspberry_pi_v2": SensorPart(
+    "raspberry_pi_v2": SensorPreset(
         "camera",
         "Raspberry Pi camera module 2 (Sony IMX219), 1640 by 1232 pixels",
         {
@@ -198,7 +198,7 @@ PARTS: Mapping[str, SensorPart] = {
             "read_noise_e": (3.0, "estimate: the IMX477's"),
         },
     ),
-    "raspberry_pi_hq": SensorPart(
+    "raspberry_pi_hq": SensorPreset(
         "camera",
         "Raspberry Pi high quality camera (Sony IMX477); its time of readout is not known here",
         {
@@ -208,7 +208,7 @@ PARTS: Mapping[str, SensorPart] = {
             "read_noise_e": (3.0, _IMX477),
         },
     ),
-    "realsense_d435": SensorPart(
+    "realsense_d435": SensorPreset(
         "camera",
         "Intel RealSense D435, its depth; its colours stay as they are",
         {
@@ -219,7 +219,7 @@ PARTS: Mapping[str, SensorPart] = {
             "depth_dropout": (0.02, "estimate: one pixel in fifty"),
         },
     ),
-    "zed_f9p": SensorPart(
+    "zed_f9p": SensorPreset(
         "position",
         "u-blox ZED-F9P with corrections from a base station (RTK), beside a compass",
         {
@@ -232,7 +232,7 @@ PARTS: Mapping[str, SensorPart] = {
 }
 
 
-def find_part(name: str, kind: PartKind | None = None) -> SensorPart:
+def find_preset(name: str, kind: SensorKind | None = None) -> SensorPreset:
     """The part called `name`, of this `kind` where one is given; ValueError where there is none."""
     known = [key for key, part in PARTS.items() if kind in (None, part.kind)]
     if name in known:
