@@ -156,16 +156,17 @@ class BatchedQueries(Generic[T]):
         groups, count = self._items.groups, len(self._items)
         if len(groups) == 1:
             return query(groups[0][0], *arrays)
-        by_scene = [array.reshape(count, len(array) // count, *array.shape[1:]) for array in arrays]
+        by_scene = [
+            (array.reshape(count, len(array) // count, *array.shape[1:]), (-1, *array.shape[1:]))
+            for array in arrays
+        ]
         joined: list[NDArray[Any]] = []
         for item, rows in groups:
+            found = query(item, *[array[rows].reshape(shape) for array, shape in by_scene])
             assert not isinstance(rows, slice)
-            # Sizes are given, since there may be no columns.
-            own = (array[rows].reshape(len(rows) * array.shape[1], *array.shape[2:]) for array in by_scene)
-            found = query(item, *own)
             joined = joined or [np.empty((count, len(p) // len(rows), *p.shape[1:]), p.dtype) for p in found]
             for whole, part in zip(joined, found, strict=True):
-                whole[rows] = part.reshape(len(rows), *whole.shape[1:])
+                whole[rows] = part.reshape(-1, *whole.shape[1:])
         return tuple(whole.reshape(-1, *whole.shape[2:]) for whole in joined)
 
 
@@ -174,12 +175,16 @@ class BatchedRayScenes(BatchedQueries[RayScene]):
 
     def shorten_ranges(self, origins: Floats, directions: Floats, ranges: Floats) -> None:
         """As `RayScene.shorten_ranges`."""
-
-        def shorten(rays: RayScene, origins: Floats, directions: Floats, own: Floats) -> tuple[Floats]:
-            rays.shorten_ranges(origins, directions, own)
-            return (own,)
-
-        ranges[:] = self._query(shorten, origins, directions, ranges)[0]
+        groups, count = self._items.groups, len(self._items)
+        if len(groups) == 1:
+            groups[0][0].shorten_ranges(origins, directions, ranges)
+            return
+        by_scene = ranges.reshape(count, -1)
+        origins, directions = origins.reshape(count, -1, 3), directions.reshape(count, -1, 3)
+        for rays, rows in groups:
+            own = by_scene[rows].ravel()
+            rays.shorten_ranges(origins[rows].reshape(-1, 3), directions[rows].reshape(-1, 3), own)
+            by_scene[rows] = own.reshape(-1, by_scene.shape[1])
 
     def hits(self, origins: Floats, directions: Floats, ranges: Floats) -> Hits:
         """As `RayScene.hits`; face indices refer to the triangles of the ray's own scene."""
@@ -196,7 +201,8 @@ class BatchedHeightFields(BatchedQueries[HeightField]):
 
     def height(self, xy: Array) -> Array:
         """Height [m], (N, ...), at points (N, ..., 2)."""
-        return self._query(lambda field, points: (field.height(points),), xy)[0]
+        by_scene = xy.reshape(len(self._items), -1, 2)
+        return query_grouped(self._items.groups, HeightField.height, by_scene).reshape(xy.shape[:-1])
 
 
 AnyRays: TypeAlias = RayScene | BatchedRayScenes
