@@ -51,7 +51,7 @@ class SensorPreset:
         return found
 
 
-PARTS: Mapping[str, SensorPreset] = {
+PRESETS: Mapping[str, SensorPreset] = {
     "bno055": SensorPreset(
         "imu",
         "Bosch BNO055, in a fusion mode, where it takes its own offsets off",
@@ -234,11 +234,11 @@ PARTS: Mapping[str, SensorPreset] = {
 
 def find_preset(name: str, kind: SensorKind | None = None) -> SensorPreset:
     """The part called `name`, of this `kind` where one is given; ValueError where there is none."""
-    known = [key for key, part in PARTS.items() if kind in (None, part.kind)]
+    known = [key for key, part in PRESETS.items() if kind in (None, part.kind)]
     if name in known:
-        return PARTS[name]
+        return PRESETS[name]
     choices = f"choose {', '.join(known[:-1])} or {known[-1]}"
-    if name in PARTS:
-        other = PARTS[name].kind
+    if name in PRESETS:
+        other = PRESETS[name].kind
         raise ValueError(f"{name} is {'an' if other == 'imu' else 'a'} {other}; {choices}")
     raise ValueError(f"no part is called {name!r}; {choices}")
