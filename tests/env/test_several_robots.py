@@ -362,7 +362,7 @@ def test_robots_by_name_with_values_that_differ() -> None:
     ("robots", "message"),
     [
         ("[rover_zro]", "there is no robot 'rover_zro'; choose "),
-        ("[]", "robots must be a list of at least 1 (got [])"),
+        ("[]", "robots must be a list of robots, such as [rover_zero,leo_rover] (got [])"),
         ("[{wheel_friction: 1.0}]", "robots: each is a name or has one: choose "),
         (
             "[rover_zero, {name: leo_rover, wheel_frictio: 1.0}]",
