@@ -1,5 +1,7 @@
 """Builds the physics engine's `SceneSpec` from a world, robots and kinematic bodies."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from dune_rl.geometry.arrays import Array
@@ -8,9 +10,12 @@ from dune_rl.physics.interface import PhysicsConf, SceneSpec
 from dune_rl.physics.robot_body import RobotBody
 from dune_rl.physics.shapes import KinematicShape, StaticBody
 from dune_rl.robots.robot import RobotDescription
-from dune_rl.worlds.props import merge_meshes
+from dune_rl.worlds.props import Mesh, merge_meshes
 from dune_rl.worlds.world import World
 
+# Every static body costs time in each physics step: of more obstacles than this, those in a cell of a grid of
+# _GRID cells along each side are one body, which then counts as one in collisions.
+_MOST_OBSTACLES, _GRID = 160, 8
 # Room under the wheels at the start, so that no contact begins with penetration.
 _DROP_M = 0.005
 
@@ -24,9 +29,10 @@ def scene_spec(
 ) -> SceneSpec:
     """The bodies of one scene: terrain, solid props, kinematic bodies and robots."""
     vertices, faces = world.terrain.mesh()
-    # With a surface map, the contact parameters are set on the wheels, and multiply with the ground's.
-    neutral = world.surfaces is not None
+    # Contact parameters that are set on the wheels multiply with the ground's.
+    neutral = world.surfaces is not None or world.takes_smaller_friction
     friction, restitution = (1.0, 1.0) if neutral else (world.friction, 0.0)
+    obstacle_friction = min(1.0, world.friction) if world.takes_smaller_friction else world.friction
     statics = [StaticBody("terrain", vertices, faces, friction, ground=True, restitution=restitution)]
     # Every static body costs a third of a microsecond per step, so all decks, whose contacts are not
     # reported, become one body.
@@ -34,11 +40,10 @@ def scene_spec(
     if decks:
         deck = merge_meshes(decks)
         statics.append(StaticBody("drivable props", *deck, friction, ground=True, restitution=restitution))
-    statics += [
-        StaticBody(prop.name, prop.vertices, prop.faces, world.friction, ground=False)
-        for prop in world.props
-        if prop.solid and not prop.drivable
-    ]
+    obstacles = [(prop.name, prop.mesh) for prop in world.props if prop.solid and not prop.drivable]
+    if len(obstacles) > _MOST_OBSTACLES:
+        obstacles = _merge_by_place(obstacles)
+    statics += [StaticBody(name, *mesh, obstacle_friction, ground=False) for name, mesh in obstacles]
     return SceneSpec(
         statics=tuple(statics),
         kinematics=kinematics,
@@ -48,6 +53,17 @@ def scene_spec(
         friction=physics.friction,
         measures_work=measures_work,
     )
+
+
+def _merge_by_place(obstacles: Sequence[tuple[str, Mesh]]) -> list[tuple[str, Mesh]]:
+    """The obstacles as one body for each cell of a grid over all of them, in which their middles are."""
+    middles = np.array([mesh[0][:, :2].mean(axis=0) for _, mesh in obstacles])
+    low, size = middles.min(axis=0), np.maximum(np.ptp(middles, axis=0), 1e-9)
+    cells = np.minimum(_GRID * (middles - low) / size, _GRID - 1).astype(int) @ [_GRID, 1]
+    return [
+        (f"obstacles {cell}", merge_meshes([obstacles[index][1] for index in np.flatnonzero(cells == cell)]))
+        for cell in np.unique(cells).tolist()
+    ]
 
 
 def standing_pose(

@@ -84,10 +84,13 @@ class Traction:
             self._worlds[scene], self._groups = world, None
         self.surfaces[scene] = _NOWHERE
         if world.surfaces is None:
-            factor = float(self.friction_factor[scene] * self.tyre_factor[scene])
-            if factor != 1.0:
+            ground, tyres = float(self.friction_factor[scene]), float(self.tyre_factor[scene])
+            friction = self._friction * (ground * tyres)
+            if world.takes_smaller_friction:
+                friction = min(self._friction * tyres, world.friction * ground)
+            if friction != self._friction:
                 wheels = len(self._wheels_b)
-                engine.set_wheel_contacts([self._friction * factor] * wheels, [0.0] * wheels)
+                engine.set_wheel_contacts([friction] * wheels, [0.0] * wheels)
             return
         rotation = rotation_matrices(quaternion)
         self.surfaces[scene], _ = world.surface_below(self._bottoms(position_w, rotation))

@@ -108,10 +108,11 @@ class World:
     `friction` is the friction coefficient of the ground and of every prop. `ground` and `texture_seed`
     determine the ground's texture, with `picture` over it if there is one; `grass` is the tall grass on it.
     `surfaces`, if given, maps the materials of the ground and of drivable props: they determine the contacts
-    of wheels, and `friction` only those of everything else. `light` is the world's own sun, for weathers that
-    do not set one. `disk_cache`, set by a `WorldStore`, keeps arrays computed from the world.
-    `region_candidates` are the regions that an importer found, the preferred one first; other worlds have
-    none. `trajectories` are those of the actors that a file brings along.
+    of wheels, and `friction` only those of everything else. The friction of a contact is the product of both
+    coefficients or, with `takes_smaller_friction`, the smaller one, as in Gazebo's ODE. `light` is the
+    world's own sun, for weathers that do not set one. `disk_cache`, set by a `WorldStore`, keeps arrays
+    computed from the world. `region_candidates` are the regions that an importer found, the preferred one
+    first; other worlds have none. `trajectories` are those of the actors that a file brings along.
     """
 
     name: str
@@ -120,6 +121,7 @@ class World:
     _: KW_ONLY
     region: Rectangle
     friction: float = 1.0
+    takes_smaller_friction: bool = False
     ground: GroundColours = MEADOW
     texture_seed: int = 0
     grass: Grass | None = None

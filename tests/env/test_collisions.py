@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from plain_worlds import box, plain
 from scenes import HULL_HALF_LENGTH_M, WHEEL_RADIUS_M, Backend, every_backend
 from scipy.spatial import cKDTree
 from scripted_physics import ScriptedRobot, scripted_simulation
@@ -24,9 +25,10 @@ from simulations import (
 
 from dune_rl.config.build import group_setups
 from dune_rl.env.collision_counter import CollisionCounter
+from dune_rl.env.scene_spec import scene_spec
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.physics.interface import PhysicsScene, SceneSpec
+from dune_rl.physics.interface import PhysicsConf, PhysicsScene, SceneSpec
 from dune_rl.worlds.props import upright_box
 from dune_rl.worlds.world import Prop, World
 
@@ -353,3 +355,18 @@ def test_clearance_without_obstacles_is_infinite_and_measured_as_the_range() -> 
     act(simulation)
     assert np.isinf(state_of_group(simulation).clearance).all()
     assert metric(simulation, "clearance")[0] == 12.0
+
+
+def test_many_obstacles_are_few_bodies_with_the_same_triangles() -> None:
+    rows = [(x, y) for x in np.linspace(-8.0, 8.0, 14) for y in np.linspace(-8.0, 8.0, 12)]
+    boxes = [box(x, y, 0.2, 0.2, 0.5) for x, y in rows]
+    few, many = (scene_spec(plain(*each), (), (), PhysicsConf()).statics for each in (boxes[:160], boxes))
+    assert len(few) == 1 + 160 and len(many) == 1 + 64
+    corners, expected = (
+        sorted(map(tuple, np.concatenate([each.vertices for each in bodies]).tolist()))
+        for bodies in (many[1:], boxes)
+    )
+    assert corners == expected
+    assert sum(len(each.faces) for each in many[1:]) == sum(len(prop.faces) for prop in boxes)
+    # Each body is the obstacles of a cell.
+    assert max(np.ptp(each.vertices[:, :2], axis=0).max() for each in many[1:]) < 3.0

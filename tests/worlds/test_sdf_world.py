@@ -10,6 +10,7 @@ import pytest
 import trimesh
 from gazebo import GROUND, PLANE, include, model, sdf, write_model
 from PIL import Image
+from simulations import simulation_on
 from world_files import SHARED_WORLDS, box, bumpy_ground, dae_text, ground_height, write_yard
 
 from dune_rl.core.untrusted_files import WorldWarning
@@ -197,8 +198,22 @@ def test_colours_lights_and_friction(tmp_path):
     assert not world.light.shadows
     assert build(tmp_path, PLANE.format(surface=MU.format(0.7)), friction=0.4).friction == 0.4
     assert build(tmp_path, GROUND).friction == 1.0
-    with pytest.warns(WorldWarning, match="has a friction of 100; 5 is used"):
-        assert build(tmp_path, PLANE.format(surface=MU.format(100))).friction == 5.0
+    with pytest.warns(WorldWarning, match="has a friction of -1; 0.01 is used"):
+        assert build(tmp_path, PLANE.format(surface=MU.format(-1))).friction == 0.01
+
+
+@pytest.mark.parametrize(("mu", "smaller"), [(100.0, 0.6), (0.4, 0.4)])
+def test_of_two_frictions_the_smaller_acts(tmp_path, mu, smaller):
+    """Gazebo's stock ground plane has a mu of 100."""
+    world = build(tmp_path, PLANE.format(surface=MU.format(mu)))
+    simulation = simulation_on(world, robot={"name": "rover_zero", "wheel_friction": 0.6})
+    engine = simulation.scenes.robots(0)[0]
+    given = []
+    engine.set_wheel_contacts = lambda friction, *others: given.append(friction)
+    simulation.reset()
+    simulation.close()
+    assert simulation.scenes._specs[world].statics[0].friction == 1.0
+    assert given == ([[0.4] * 4] if smaller == 0.4 else [])
 
 
 def test_what_can_only_be_seen_stops_nobody(tmp_path):

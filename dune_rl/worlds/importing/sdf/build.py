@@ -29,7 +29,7 @@ from dune_rl.worlds.importing.sdf.actors import place_on_ground
 from dune_rl.worlds.importing.sdf.elements import SdfFileFinder, build_plane
 from dune_rl.worlds.importing.sdf.reader import SdfContents, SdfHeightMap, SdfReader, mean_colour
 
-_MOST_FRICTION = 5.0
+_LEAST_FRICTION, _MOST_FRICTION = 0.01, 5.0
 _PLANE_MARGIN_M, _SMALLEST_PLANE_M, _LARGEST_PLANE_M = 5.0, 20.0, 500.0
 _TERRAIN_M, _TERRAIN_M2 = 15.0, 100.0
 
@@ -75,6 +75,7 @@ def build_sdf(conf: SdfConf) -> ImportedWorld:
             world = assemble_world(conf, parts, report, friction=friction, light=contents.light)
         except WorldError as error:
             raise report.explain(str(error)) from None
+    world.takes_smaller_friction = conf.friction is None
     world.surfaces = read_surfaces(conf, world.extent)
     world.trajectories = place_on_ground(contents.actors, world, report)
     report.emit_warnings()
@@ -189,8 +190,7 @@ def _ground_friction(contents: SdfContents, parts: list[MeshPart], report: Impor
         ground = float(np.median(list(frictions.values())))
     if len(set(frictions.values())) > 1:
         report.warn(f"has several frictions, but a world has only one: {ground:g} is used for all")
-    if not 0.0 < ground <= _MOST_FRICTION:
-        limited = float(np.clip(ground, 0.01, _MOST_FRICTION))
-        report.warn(f"has a friction of {ground:g}; {limited:g} is used")
-        return limited
-    return ground
+    if ground <= 0.0:
+        report.warn(f"has a friction of {ground:g}; {_LEAST_FRICTION:g} is used")
+    # The smaller coefficient of two acts: larger ones are alike.
+    return min(max(ground, _LEAST_FRICTION), _MOST_FRICTION)
