@@ -287,4 +287,6 @@ class Conf(EnvConf):
             if name not in drawn:
                 remedy = advise(name, drawn) if drawn else f"randomisation.{name} draws it"
                 raise ValueError(f"learning.curriculum.easiest.{name}: it is not drawn; {remedy}")
+            if name.endswith("seed"):
+                raise ValueError(f"learning.curriculum.easiest.{name}: no seed is easier than another")
         return self

@@ -31,6 +31,8 @@ class SceneBodies:
 class Body:
     """The equal bodies of N agents, `count` in each scene, rows scene after scene.
 
+    Methods without `NotImplementedError` do nothing by default.
+
     `motion` is their state after the last `read` or `read_start`, and `poses` (N, 4 or 6) begin with x, y, z
     [m] and yaw [rad]. `first` is the number of a scene's first body among those of its kind, robots or
     kinematic bodies.

@@ -6,6 +6,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator, Field, SerializeAsAny
 
+from dune_rl.core.errors import ConfigError
 from dune_rl.core.registry import Registry
 from dune_rl.core.settings import Settings
 from dune_rl.geometry.arrays import Array, Flags
@@ -25,6 +26,9 @@ class CurriculumConf(Settings):
     name: str
     start_level: float = Field(0.0, ge=0.0, le=1.0, description="level of the first episodes")
     measure: str = Field("success", min_length=1, description="metric that is an episode's outcome")
+    group: str | None = Field(
+        None, min_length=1, description="agent group whose outcomes count; null: the first that learns"
+    )
     easiest: dict[str, float] = Field(
         default_factory=dict, description="values of randomised properties at level 0"
     )
@@ -58,6 +62,10 @@ def by_outcome(
     step: Annotated[float, Field(gt=0.0, le=1.0)] = 0.1,
 ) -> float:
     """Raise or lower the level by `step` where the mean outcome of `episodes` is out of two limits."""
+    if lower_below >= raise_above:
+        raise ConfigError(
+            f"learning.curriculum.lower_below={lower_below:g} must be below raise_above={raise_above:g}"
+        )
     if len(outcomes) < episodes:
         return level
     mean = outcomes[-episodes:].mean()
@@ -83,22 +91,31 @@ class Curriculum:
             self.difficulty = np.where(mask, self.level, self.difficulty)
 
     def end(self, mask: Flags, measure: Callable[[str], Array]) -> None:
-        """Record the episodes that end in `mask` (M,); `measure` returns the values (M,) of a metric."""
+        """Record the episodes that end in `mask` (M,); `measure` returns the values (M,) of a metric.
+
+        Episodes without a value, which are NaN, do not count.
+        """
         if self.conf is None or not mask.any():
             return
         outcomes = measure(self.conf.measure)
-        for outcome in outcomes[mask & (self.difficulty == self.level)].tolist():
+        counted = mask & (self.difficulty == self.level) & ~np.isnan(outcomes)
+        for outcome in outcomes[counted].tolist():
             self._outcomes = [*self._outcomes[1 - _MOST_OUTCOMES :], outcome]
             level = float(CURRICULA.build(self.conf, self.level, np.array(self._outcomes)))
+            level = min(max(level, 0.0), 1.0)
             if level != self.level:
-                self.level, self._outcomes = min(max(level, 0.0), 1.0), []
+                self.level, self._outcomes = level, []
                 return
 
-    def state(self) -> dict[str, Any]:
-        """Plain data from which `restore` continues."""
+    def state(self) -> dict[str, Any] | None:
+        """Plain data from which `restore` continues; None without settings."""
+        if self.conf is None:
+            return None
         return {"level": self.level, "outcomes": self._outcomes, "difficulty": self.difficulty.tolist()}
 
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Continue from what `state` returned."""
+    def restore(self, state: Mapping[str, Any] | None) -> None:
+        """Continue from what `state` returned; without settings, here or then, nothing changes."""
+        if self.conf is None or state is None:
+            return
         self.level, self._outcomes = float(state["level"]), list(state["outcomes"])
         self.difficulty = np.array(state["difficulty"])

@@ -6,7 +6,6 @@ from functools import lru_cache
 from typing import Any
 
 from dune_rl.core.seeding import stream
-from dune_rl.env.distributions import Integers
 from dune_rl.env.randomisation import RANDOMISATIONS, RandomisationConf
 from dune_rl.env.randomised_properties import EpisodeVariation
 from dune_rl.env.requests import EpisodePlan
@@ -98,20 +97,20 @@ class DomainRandomizer:
             rng = stream(seed, f"randomisation {_STREAMS.get(name, name)}", episode, *again)
             value = self._distributions[name].draw(rng)
             if name in self._easiest and difficulty < 1.0:
-                value = self._eased(name, value, difficulty)
+                value = self._easiest[name] + difficulty * (value - self._easiest[name])
             values.append(value)
         return tuple(values)
-
-    def _eased(self, name: str, value: float, difficulty: float) -> float:
-        easiest = self._easiest[name]
-        eased = easiest + difficulty * (value - easiest)
-        return float(round(eased)) if isinstance(self._distributions[name], Integers) else eased
 
     def world(self, conf: Any) -> World:
         """The world of `conf`; raises WorldError if it cannot be built."""
         return self._make_world(conf)
 
-    def prepare(self, seed: int, episodes: Sequence[int]) -> None:
+    def prepare(self, seed: int, episodes: Sequence[int], difficulty: float = 1.0) -> None:
         """Announce the next episodes, so that their worlds can be built in the background."""
         if self.randomizes_worlds and self._prepare is not None:
-            self._prepare([self.variation(self.draw(seed, episode)).world for episode in episodes])
+            self._prepare(
+                [
+                    self.variation(self.draw(seed, episode, difficulty=difficulty)).world
+                    for episode in episodes
+                ]
+            )

@@ -59,9 +59,12 @@ def _merge_by_place(obstacles: Sequence[tuple[str, Mesh]]) -> list[tuple[str, Me
     """The obstacles as one body for each cell of a grid over all of them, in which their middles are."""
     middles = np.array([mesh[0][:, :2].mean(axis=0) for _, mesh in obstacles])
     low, size = middles.min(axis=0), np.maximum(np.ptp(middles, axis=0), 1e-9)
-    cells = np.minimum(_GRID * (middles - low) / size, _GRID - 1).astype(int) @ [_GRID, 1]
+    cells = np.minimum(_GRID * (middles - low) / size, _GRID - 1).astype(int) @ np.array([_GRID, 1])
     return [
-        (f"obstacles {cell}", merge_meshes([obstacles[index][1] for index in np.flatnonzero(cells == cell)]))
+        (
+            f"obstacles {cell}",
+            merge_meshes(mesh for (_, mesh), own in zip(obstacles, cells, strict=True) if own == cell),
+        )
         for cell in np.unique(cells).tolist()
     ]
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dune_rl.core.errors import ConfigError
 from dune_rl.env.agent_group import AgentGroup, GroupSetup, GroupStep
 from dune_rl.env.arguments import check_whole, group_actions
 from dune_rl.env.assembly import add_sensors, build_groups
@@ -102,7 +103,16 @@ class VectorSimulation:
         self.state: State
         self._refusal = _NOT_BEGUN
         self.curriculum = Curriculum(curriculum, num_scenes)
+        self._curriculum_group = "" if curriculum is None else self._measured_group(curriculum)
         self.reseed(seed, first_episode)
+
+    def _measured_group(self, conf: CurriculumConf) -> str:
+        """The name of the group whose outcomes a curriculum has; raises ConfigError if there is none."""
+        for group in self.external:
+            if conf.group in (None, group.name) and conf.measure in group.metric_names:
+                return group.name
+        whose = "an external group" if conf.group is None else f"the group {conf.group!r}"
+        raise ConfigError(f"learning.curriculum: {whose} with the metric {conf.measure!r} is not here")
 
     # -- contents ---------------------------------------------------------------------------------
 
@@ -171,7 +181,8 @@ class VectorSimulation:
             episode, difficulty = int(self.episodes[scene]), float(self.curriculum.difficulty[scene])
             draw = StartDraw(scene, self.seed, episode, difficulty=difficulty)
             self._starter.start(draw, self._request(scene, episode))
-        self.randomizer.prepare(self.seed, (self.episodes[mask] + self.num_scenes).tolist())
+        following = (self.episodes[mask] + self.num_scenes).tolist()
+        self.randomizer.prepare(self.seed, following, self.curriculum.level)
         for group in self.groups:
             group.read_start(scene_rows(mask, group.count), self.scenes.most_bodies)
         self._builder.begin_episodes(self.episodes)
@@ -222,7 +233,7 @@ class VectorSimulation:
         state = self._builder.build(self.seed, self.steps, contacts, self.scenes.count_statics)
         evaluated = {group.name: group.evaluate(state) for group in self.groups}
         terminated, truncated = self._scene_ends(state)
-        self.curriculum.end(terminated | truncated, self._outcomes)
+        self.curriculum.end(terminated | truncated, self._episode_values)
         self.state = state = self._next_state(state, evaluated)
         for group in self.groups:
             group.sense(state)
@@ -282,11 +293,15 @@ class VectorSimulation:
         terminated = terminated & over
         return terminated, over & ~terminated
 
-    def _outcomes(self, metric: str) -> Array:
-        """Values (M,) of a metric of the present episodes: the mean over the agents of a group."""
-        group = next(each for each in self.external if metric in each.metric_names)
-        column = group.metric_names.index(metric)
-        return self.metrics(group.name)[..., column].mean(axis=1).astype(np.float64)
+    def _episode_values(self, metric: str) -> Array:
+        """Values (M,) of a metric of the present episodes: the mean over the agents of a group that came."""
+        group = self._curriculum_group
+        column = self.group(group).metric_names.index(metric)
+        values = self.metrics(group)[..., column].astype(np.float64)
+        came = ~np.isnan(values)
+        counts = came.sum(axis=1)
+        sums = np.where(came, values, 0.0).sum(axis=1)
+        return np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
 
     def _all(self, group: AgentGroup, flags: Flags) -> Flags:
         """Flags (M,) of scenes in which `flags` (N,) are True for all of a group's agents."""
@@ -378,7 +393,7 @@ class VectorSimulation:
         self.episodes = np.array(saved["episodes"], np.int64)
         requests = saved.get("requests", {})
         self._requests = {int(scene): request_from_plain(plain) for scene, plain in requests.items()}
-        self.curriculum.restore(saved["curriculum"])
+        self.curriculum.restore(saved.get("curriculum"))
         lengths = np.array([len(actions) for actions in saved["actions"]])
         rows = self._log.aligned(saved["actions"])
         self._start(np.ones(self.num_scenes, bool))
@@ -397,7 +412,7 @@ class VectorSimulation:
         if (lengths == 0).any():
             self._start(lengths == 0)
         # Episodes that ended while these were repeated do not count.
-        self.curriculum.restore(saved["curriculum"])
+        self.curriculum.restore(saved.get("curriculum"))
         check_arrival(saved.get("digest"), self.state)
 
     def close(self) -> None:

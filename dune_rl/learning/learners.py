@@ -72,7 +72,7 @@ class FrozenPolicy(Algorithm):
 
     def __init__(self, context: LearnerContext, path: Path) -> None:
         try:
-            self._saved = read_saved_policy(path, context.group, context.spec)
+            self._saved = read_saved_policy(path, context.group, context.spec, allow_more=True)
         except PolicyMismatchError as error:
             message = f"learning.groups.{context.group}.frozen: {error}"
             raise GroupMismatchError(message, context.group, str(path)) from None

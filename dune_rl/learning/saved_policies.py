@@ -65,14 +65,19 @@ class SavedPolicy:
         return network
 
 
-def read_saved_policy(path: Path, group: str, here: PolicySpec, *, allow_more: bool = True) -> SavedPolicy:
+def read_saved_policy(path: Path, group: str, here: PolicySpec, *, allow_more: bool) -> SavedPolicy:
     """The policy of a file or run folder for `group`, on the CPU.
 
     A folder gives its best policy, or its published one; a file with one policy alone serves a group of any
     name. Raises CheckpointError if the file is unreadable, has no policy for the group, or one for another
     spec than `here`, which with `allow_more` may have further parts in its observation.
     """
-    file, content = read_policy_file(path)
+    return _saved_policy(*read_policy_file(path), group, here, allow_more=allow_more)
+
+
+def _saved_policy(
+    file: Path, content: Mapping[str, Any], group: str, here: PolicySpec, *, allow_more: bool
+) -> SavedPolicy:
     entry = saved_entry(content["groups"], file, group)
     spec = PolicySpec.from_plain(entry["spec"])
     spec.require(here.only(spec.keys) if allow_more else here, str(file))
@@ -98,8 +103,13 @@ def load_policy(
 ) -> tuple[Deterministic, dict[str, Any]]:
     """The policies of a file or run folder for all groups of `env`: see `load_group_policy`."""
     specs = {group: PolicySpec.of(env, group) for group in env.group_map}
-    loaded = [load_group_policy(path, group, spec, allow_more=allow_more) for group, spec in specs.items()]
-    return Deterministic(JointPolicy(policy for policy, _ in loaded)), loaded[0][1]
+    file, content = read_policy_file(path)
+    saved = {
+        group: _saved_policy(file, content, group, spec, allow_more=allow_more)
+        for group, spec in specs.items()
+    }
+    policies = [GroupPolicy(group, one.spec, one.make_network()) for group, one in saved.items()]
+    return Deterministic(JointPolicy(policies)), content["config"]
 
 
 def read_policy_groups(path: Path) -> tuple[list[str], dict[str, Any]]:

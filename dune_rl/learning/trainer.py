@@ -59,7 +59,8 @@ class Trainer:
     """Trains the agent groups of an environment in `run_dir`, from scratch or from a checkpoint (`resume`).
 
     Every group of `env.group_map` has its own learner, or acts by a frozen policy; `learning` has the
-    algorithm and its settings. `make_env(num_scenes, seed)` must be picklable unless the collector is serial.
+    algorithm and its settings. `make_env(num_scenes, seed)` must be picklable unless the collector is serial;
+    with `learning.curriculum` it also takes `curriculum`.
     `config` is the resolved configuration as plain containers; it is stored with the weights. With a serial
     collector, a run that was stopped and resumed ends with the same weights as an uninterrupted one; with
     worker processes, a resumed run starts new episodes. TensorBoard lists `hyperparameters` beside the
@@ -112,6 +113,7 @@ class Trainer:
         self.frames = 0
         self._next_save = learning.checkpoint.every_frames
         self._level: float | None = None
+        self._judged = judged
         self._warmup = WarmUp(self._learners)
         self._status = RunStatus(self._reporter, self._evaluation, total_frames)
         if self._saved is None:
@@ -120,7 +122,7 @@ class Trainer:
             restore_learners(self._learners, self._saved["groups"], source, learning)
             counters = self._saved["counters"]
             self.frames, self._next_save = counters["frames"], counters["next_save"]
-            self._level = self._saved["collector"]["level"]
+            self._level = self._saved["collector"].get("level")
             self._evaluation.restore(counters)
             if self._population is not None and self._saved["population"] is not None:
                 self._population.restore(self._saved["population"])
@@ -223,9 +225,9 @@ class Trainer:
         for group, learner in self._learners.items():
             learner.absorb(select_group(batch, group), self.frames)
         if self._conf.curriculum is not None:
-            difficulty = float(batch["next", "difficulty"][..., -1, :].mean())
-            self._level = None if warmed_up else difficulty
-            self._log.scalars(None, {"curriculum/difficulty": difficulty}, self.frames)
+            level = float(batch["next", "curriculum_level"][..., -1, :].mean())
+            self._level = None if warmed_up else level
+            self._log.scalars(None, {"curriculum/level": level}, self.frames)
         self._log.log_batch(batch, self.frames, self._updates, "warmup" if warmed_up else "train")
         for group, learner in self._learners.items():
             self._log.scalars(group, learner.update(), self.frames)
@@ -265,7 +267,8 @@ class Trainer:
         return collector
 
     def _curriculum_now(self, conf: CurriculumConf) -> CurriculumConf:
-        """The curriculum from the level on that episodes have now: new processes begin with it."""
+        """The curriculum of the judged group from the present level on, with which new processes begin."""
+        conf = conf.model_copy(update={"group": conf.group or self._judged})
         return conf if self._level is None else conf.model_copy(update={"start_level": self._level})
 
     def _report(self) -> None:

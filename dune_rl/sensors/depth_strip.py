@@ -42,7 +42,7 @@ class DepthStripConf(SensorSettings):
 
 
 class DepthStrip(VectorSensor):
-    """The reading "depth_strip", (M, columns) [m], of M rovers, moving actors seen.
+    """The reading "depth_strip", (N, columns) [m], of N agents, moving actors seen.
 
     Columns run counter-clockwise over the field of view, each bearing in the middle of its share. A depth is
     measured along the bearing, in the plane of the rover's forward and left axes: the nearest over the
@@ -66,9 +66,9 @@ class DepthStrip(VectorSensor):
         self._reading = self.depths(now.motion.position_w, now.motion.rotation, now.neighbours)
 
     def depths(self, position_w: Array, rotation: Array, neighbours: Array) -> Floats:
-        """The reading of rovers at `position_w` (M, 3) [m], turned by `rotation` (M, 3, 3).
+        """The reading of rovers at `position_w` (N, 3) [m], turned by `rotation` (N, 3, 3).
 
-        `neighbours` (M, K, 7) are the poses of the actors: see `GroupState.neighbours`.
+        `neighbours` (N, K, 7) are the poses of the actors: see `GroupState.neighbours`.
         """
         conf = self.conf
         ranges = self._beams.ranges(position_w, rotation, neighbours)

@@ -52,7 +52,7 @@ class HeightScanConf(SensorSettings):
 
 
 class HeightScan(VectorSensor):
-    """The reading "height_scan", (M, rows * columns) [m], of M rovers.
+    """The reading "height_scan", (N, rows * columns) [m], of N agents.
 
     Frame: the rover's position and yaw alone; however it rolls or pitches, the grid stays level. Row by row
     from the nearest, each from right to left. Heights are over the plane `standing_height_m` below the
@@ -74,16 +74,16 @@ class HeightScan(VectorSensor):
         self._reading = self.heights(now.motion.position_w, now.motion.roll_pitch_yaw[:, 2])
 
     def points(self, position_w: Array, yaw: Array) -> Array:
-        """Where heights are asked for, (M, rows * columns, 2) [m] in the world.
+        """Where heights are asked for, (N, rows * columns, 2) [m] in the world.
 
-        The rovers are at `position_w` (M, 3) and head `yaw` (M,) [rad].
+        The rovers are at `position_w` (N, 3) and head `yaw` (N,) [rad].
         """
         cos, sin = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
         x, y = self._grid.T
         return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1) + position_w[:, None, :2]
 
     def heights(self, position_w: Array, yaw: Array) -> Floats:
-        """The reading of rovers at `position_w` (M, 3) [m] that head `yaw` (M,) [rad]."""
+        """The reading of rovers at `position_w` (N, 3) [m] that head `yaw` (N,) [rad]."""
         conf = self.conf
         xy = self.points(position_w, yaw)
         base = position_w[:, 2, None] - (conf.standing_height_m or 0.0)
@@ -94,7 +94,7 @@ class HeightScan(VectorSensor):
         return clip(heights, -conf.limit_m, conf.limit_m).astype(np.float32)
 
     def _solid_heights(self, xy: Array, base: Array) -> Array:
-        """Heights (M, P) [m] of what is solid at `xy` (M, P, 2), over `base` (M, 1)."""
+        """Heights (N, P) [m] of what is solid at `xy` (N, P, 2), over `base` (N, 1)."""
         above_m, limit_m = self.conf.above_m, self.conf.limit_m
         scenes, count = xy.shape[:2]
         start = np.empty((scenes, count, 3), np.float32)

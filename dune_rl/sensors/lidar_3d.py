@@ -36,7 +36,9 @@ class Lidar3dConf(ScannerConf):
     n_beams: int = Field(512, ge=1, le=16_384, description="of a ring")
     lowest_elevation_deg: Elevation = Field(-15.0, description="of the lowest ring [deg]")
     highest_elevation_deg: Elevation = Field(15.0, description="of the highest [deg]")
-    half_intensity_m: float = Field(10.0, gt=0.0, le=1_000.0, description="of half the brightness [m]")
+    half_intensity_m: float = Field(
+        10.0, gt=0.0, le=1_000.0, description="range at which a return is half as bright [m]"
+    )
     outputs: tuple[Lidar3dOutput, ...] = Field(("range",), min_length=1, description="kinds of readings")
 
     @model_validator(mode="after")
@@ -121,7 +123,7 @@ class Lidar3d(PictureSensor):
     def _cast(
         self, position_w: Array, rotation: Array, neighbours: Array, rows: Indices | None = None
     ) -> tuple[Floats, Floats, NDArray[np.uint8]]:
-        """Ranges, albedo times incidence, and segments of all beams, each (M, N); ranges alone if they do.
+        """Ranges, albedo times incidence, and segments of all beams, each (N, beams); ranges alone if enough.
 
         `rows` (m,) are the agents' numbers, where these are not all.
         """

@@ -136,7 +136,7 @@ class Position(VectorSensor):
         super().__init__(name, context.num_rows, [*(low - reach), -PI32], [*(high + reach), PI32])
 
     def begin(self, mask: Flags, now: GroupState, state: State) -> None:
-        """Start the episodes in `mask` (M,) with an error of their own."""
+        """Start the episodes of the agents in `mask` (N,) with an error of their own."""
         if self._drifts:
             self._drift = np.where(
                 mask[:, None], self._spread * draw(normal, now.episode, self._drift_name, 3), self._drift

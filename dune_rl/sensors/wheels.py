@@ -48,12 +48,12 @@ class WheelCounter:
         self._counts = np.zeros((num_rows, num_wheels))
 
     def begin(self, mask: Flags, angle: Array) -> None:
-        """Count from `angle` (M, J) [rad] in the scenes in `mask` (M,); the wheels are the first joints."""
+        """Count from `angle` (N, J) [rad] in the agents in `mask` (N,); the wheels are the first joints."""
         self._start[mask] = angle[mask, : self._start.shape[1]]
         self._counts[mask] = 0.0
 
     def turned(self, angle: Array) -> Array:
-        """Turn of each wheel to `angle` (M, J) since the last call [rad], (M, W); at most `most_rad`."""
+        """Turn of each wheel to `angle` (N, J) since the last call [rad], (N, W); at most `most_rad`."""
         counts = (angle[:, : self._start.shape[1]] - self._start) / self._count_rad
         if self._whole:
             counts = np.rint(counts)
@@ -63,7 +63,7 @@ class WheelCounter:
 
 
 class Encoders(VectorSensor):
-    """The reading "encoders", (M, 2 * W): how far each wheel has turned in the last control step, and speeds.
+    """The reading "encoders", (N, 2 * W): how far each wheel has turned in the last control step, and speeds.
 
     Turns [rad] come first; the speeds [rad/s] after them are those turns by the
     length of a step. Wheels are in the order of the robot's drive joints.
@@ -80,7 +80,7 @@ class Encoders(VectorSensor):
         super().__init__(name, num_rows, -highest, highest)
 
     def begin(self, mask: Flags, now: GroupState, state: State) -> None:
-        """Nothing has turned in the scenes in `mask` (M,)."""
+        """Nothing has turned in the agents in `mask` (N,)."""
         self._counter.begin(mask, joints_of(now).angle)
         self._reading[mask] = 0.0
 
@@ -147,7 +147,7 @@ class DriveGeometry:
 
 
 class Odometry(VectorSensor):
-    """The reading "odometry", (M, 5): x, y [m], yaw [rad], forward speed [m/s] and yaw rate [rad/s].
+    """The reading "odometry", (N, 5): x, y [m], yaw [rad], forward speed [m/s] and yaw rate [rad/s].
 
     The pose is in the frame of the episode's start, x forward; the twist is the
     mean of the last control step. All come from the wheels' turns, counted as
@@ -177,7 +177,7 @@ class Odometry(VectorSensor):
         self._pose = np.zeros((num_rows, 3))
 
     def begin(self, mask: Flags, now: GroupState, state: State) -> None:
-        """Put the origin where the rovers in `mask` (M,) stand."""
+        """Put the origin where the agents in `mask` (N,) stand."""
         self._counter.begin(mask, joints_of(now).angle)
         self._pose[mask] = 0.0
         self._reading[mask] = 0.0
@@ -217,7 +217,7 @@ class CurrentsConf(SensorSettings):
 
 
 class Currents(VectorSensor):
-    """The reading "currents", (M, W) [A], clipped to ± `limit_a`: positive where the torque is forward.
+    """The reading "currents", (N, W) [A], clipped to ± `limit_a`: positive where the torque is forward.
 
     Losses in the gears take torque from a motor that drives its wheel, and hold
     a wheel that would drive its motor. The torque is that of the last physics

@@ -14,6 +14,7 @@ from dune_rl.config.compose import compose, compose_environment
 from dune_rl.config.schema import Conf
 from dune_rl.core.errors import ConfigError
 from dune_rl.env.curriculum import CURRICULA, Curriculum, by_outcome
+from dune_rl.env.replay import RestoreError
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE
 from dune_rl.learning.settings import CollectorConf
@@ -84,6 +85,30 @@ def test_goals_are_near_at_first_and_as_set_at_the_last_level() -> None:
     np.testing.assert_array_equal(full, plain)
 
 
+def test_outcomes_without_a_value_and_limits_out_of_order() -> None:
+    level = Curriculum(curriculum_conf(episodes=2, step=0.5), 3)
+    level.end(np.ones(3, bool), lambda _: np.array([1.0, np.nan, 1.0]))
+    assert level.level == 0.5
+    level.end(np.ones(3, bool), lambda _: np.ones(3))
+    assert level.level == 0.5
+    with pytest.raises(ConfigError, match=r"lower_below=0.9 must be below raise_above=0.2"):
+        by_outcome(0.5, np.ones(3), raise_above=0.2, lower_below=0.9)
+
+
+def test_the_outcomes_are_of_a_group_that_is_there() -> None:
+    with pytest.raises(ConfigError, match="the group 'walker' with the metric 'success' is not here"):
+        simulation(group="walker")
+
+
+def test_without_a_curriculum_a_state_with_one_is_restored_at_full_difficulty() -> None:
+    made = simulation(start_level=0.3)
+    made.reset()
+    plain = make_simulation(compose_environment("flat", SHORT), 4, 5)
+    with pytest.raises(RestoreError):
+        plain.restore(made.save_state())
+    assert plain.curriculum.difficulty.tolist() == [1.0] * 4
+
+
 def test_properties_rise_from_their_easiest_values() -> None:
     words = ["randomisation.friction={name: uniform, low: 0.5, high: 0.6}"]
     for level, low, high in ((0.0, 1.0, 1.0), (0.5, 0.75, 0.8), (1.0, 0.5, 0.6)):
@@ -126,11 +151,14 @@ def test_a_misspelt_curriculum_is_told() -> None:
         compose(Conf, ["+world=flat", "learning.curriculum={name: by_outcome, measure: speedy}"])
     with pytest.raises(ConfigError, match=r"easiest.friction: it is not drawn"):
         compose(Conf, ["+world=flat", "learning.curriculum={name: by_outcome, easiest: {friction: 1.0}}"])
+    seeds = ["randomisation=worlds", "learning.curriculum={name: by_outcome, easiest: {world_seed: 1000}}"]
+    with pytest.raises(ConfigError, match=r"easiest.world_seed: no seed is easier"):
+        compose(Conf, ["+world=inspection", *seeds])
 
 
 def test_a_resumed_training_goes_on_with_its_levels(tmp_path: Path) -> None:
     conf = compose_environment("flat", ["actors=none", "task.terminations.time_limit.max_steps=20"])
-    levels = curriculum_conf(start_level=0.5, episodes=2, raise_above=-1.0, step=0.01)
+    levels = curriculum_conf(start_level=0.5, episodes=2, raise_above=-1.0, lower_below=-2.0, step=0.01)
     make_env = partial(make_learning_env, conf)
     learning = small(curriculum=levels, hidden=(16,), batch_size=16, learning_starts=64)
     assert_halves_make_a_whole(make_env, tmp_path, learning, frames=640, half=300)
@@ -140,7 +168,7 @@ def test_a_resumed_training_goes_on_with_its_levels(tmp_path: Path) -> None:
 
 def test_other_processes_begin_at_the_level_of_those_before(tmp_path: Path) -> None:
     conf = compose_environment("flat", SHORT)
-    levels = curriculum_conf(start_level=0.5, episodes=1, raise_above=-1.0, step=0.02)
+    levels = curriculum_conf(start_level=0.5, episodes=1, raise_above=-1.0, lower_below=-2.0, step=0.02)
     learning = small(curriculum=levels, hidden=(16,), batch_size=16, learning_starts=0, warm_up="random")
     learning = learning.model_copy(update={"collector": CollectorConf(mode="sync", scenes=2, steps=4)})
     make_env = partial(make_learning_env, conf)

@@ -44,9 +44,7 @@ def test_a_second_run_in_a_folder_is_refused(tmp_path: Path) -> None:
 def test_a_new_run_leaves_what_a_crashed_one_left_alone(tmp_path: Path) -> None:
     check_unused(tmp_path / "none")
     (tmp_path / "events.out.tfevents.1").touch()
-    with pytest.raises(
-        CheckpointError, match=r"of a run that ended before its first save: delete the folder"
-    ):
+    with pytest.raises(CheckpointError, match=r"of an earlier run, and no checkpoint.pt to go on with"):
         trainer(tmp_path)
     assert [file.name for file in tmp_path.iterdir()] == ["events.out.tfevents.1"]
 

@@ -48,10 +48,10 @@ def test_a_word_stands_for_a_part_and_settings_beside_it_differ_from_it():
 @pytest.mark.parametrize(
     ("conf", "word", "message"),
     [
-        (ImuRealismConf, "bno05", "no part is called 'bno05'; choose bno055, mpu6050, .* or adis16448"),
-        (ImuRealismConf, "rplidar_a1", "rplidar_a1 is a lidar; choose bno055"),
-        (LidarRealismConf, "bno055", "bno055 is an imu; choose rplidar_a1"),
-        (SpeedRealismConf, "bno055", "no parts are known here"),
+        (ImuRealismConf, "bno05", "there is no device 'bno05'; choose bno055, mpu6050, .* or adis16448"),
+        (ImuRealismConf, "rplidar_a1", "rplidar_a1 is a device for lidar sensors; choose bno055"),
+        (LidarRealismConf, "bno055", "bno055 is a device for imu sensors; choose rplidar_a1"),
+        (SpeedRealismConf, "bno055", "no devices are known here"),
     ],
 )
 def test_an_unknown_part_is_refused_with_those_there_are(conf, word, message):

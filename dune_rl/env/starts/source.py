@@ -57,6 +57,8 @@ class TakenPlaces:
 class StartSource:
     """Starts and goals of N = M * G agents, rows scene after scene.
 
+    Methods without `NotImplementedError` do nothing by default.
+
     `goals_w` (N, 2) [m] are the goals; the array is never written afterwards. Sources of lower `rank` are
     placed first. `faces_free_way` says whether bodies that cannot turn on the
     spot may be turned at their starts.

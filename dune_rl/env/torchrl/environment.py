@@ -34,7 +34,7 @@ class DuneEnv(CopiedByReplay, EnvBase):
     `group_map` lists the agents. The end flags of a group are those of each agent: they are set from the step
     in which it is done until its scene's episode ends; agents that come later are truncated until then. The
     end flags at the root, (M, 1), are those of the scenes, which are reset one by one. With a curriculum,
-    `difficulty` (M, 1) is that of the scenes' episodes. With `flatten`,
+    `curriculum_level` (M, 1) is its present level. With `flatten`,
     (`group`, `observation`) is one vector, (M, G, D). Raises ConfigError if no group is external.
     """
 
@@ -71,7 +71,9 @@ class DuneEnv(CopiedByReplay, EnvBase):
             )
             ends[group.name] = Composite(_end_specs(shape), shape=shape)
         if self._simulation.curriculum.conf is not None:
-            observation["difficulty"] = Bounded(low=0.0, high=1.0, shape=(scenes, 1), dtype=torch.float32)
+            observation["curriculum_level"] = Bounded(
+                low=0.0, high=1.0, shape=(scenes, 1), dtype=torch.float32
+            )
         self.observation_spec = Composite(observation, shape=(scenes,))
         self.action_spec = Composite(action, shape=(scenes,))
         self.reward_spec = Composite(reward, shape=(scenes,))
@@ -162,8 +164,7 @@ class DuneEnv(CopiedByReplay, EnvBase):
             for group in self._groups
         }
         if self._simulation.curriculum.conf is not None:
-            difficulty = self._simulation.curriculum.difficulty.astype(np.float32)
-            out["difficulty"] = torch.from_numpy(difficulty[:, None])
+            out["curriculum_level"] = torch.full((scenes, 1), self._simulation.curriculum.level)
         root = {"done": terminated | truncated, "terminated": terminated, "truncated": truncated}
         for name, flags in root.items():
             out[name] = torch.from_numpy(flags[:, None])

@@ -12,8 +12,8 @@ from dune_rl.core.files import try_lock
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE
 
 _LOCK_FILE = ".lock"
-# Files of a run that ended before its first save.
-_BEGUN = ("events.out.tfevents.*", "metrics.csv", "policy_*.pt", "replay-*")
+# Files of a run, which may have no checkpoint: it was cut off early, or published without it.
+_OF_A_RUN = ("events.out.tfevents.*", "metrics.csv", "policy_*.pt", "replay-*")
 _POLL_S = 0.2
 
 
@@ -46,6 +46,7 @@ def _lock(folder: Path) -> int | None:
                 return handle
         os.close(handle)
         if is_locked is None:
+            (folder / _LOCK_FILE).unlink(missing_ok=True)
             return None
         if not is_locked:
             raise CheckpointError(
@@ -64,7 +65,7 @@ def _unlock(handle: int, folder: Path, owner: int) -> None:
 
 
 def check_unused(folder: Path) -> None:
-    """Raise CheckpointError if `folder`, which need not exist, holds a run or what one left that was cut off.
+    """Raise CheckpointError if `folder`, which need not exist, holds files of a run.
 
     A new run would mix its files with those.
     """
@@ -74,11 +75,11 @@ def check_unused(folder: Path) -> None:
         )
     if (folder / _LOCK_FILE).exists():
         RunLock(folder).release()
-    begun = next((file for pattern in _BEGUN for file in folder.glob(pattern)), None)
-    if begun is not None:
+    left = next((file for pattern in _OF_A_RUN for file in folder.glob(pattern)), None)
+    if left is not None:
         raise CheckpointError(
-            f"{folder} holds {begun.name} of a run that ended before its first save: delete the folder, or "
-            "choose another run_dir"
+            f"{folder} holds {left.name} of an earlier run, and no {CHECKPOINT_FILE} to go on with: choose "
+            "another run_dir"
         )
 
 

@@ -37,8 +37,14 @@ class CameraRealismConf(RealismConf):
     shutter_s: float = Field(0.0, ge=0.0, le=1.0, description="exposure of each row [s]")
     readout_s: float = Field(0.0, ge=0.0, le=1.0, description="time from the first row to the last [s]")
     gain: float = Field(1.0, gt=0.0, le=_MOST_GAIN, description="factor on the brightness")
-    auto_exposure_s: float | None = Field(None, gt=0.0, le=60.0, description="time constant [s]; null: none")
-    full_well_e: float | None = Field(None, ge=10.0, description="electrons of a white pixel; null: no noise")
+    auto_exposure_s: float | None = Field(
+        None, gt=0.0, le=60.0, description="time constant of the automatic exposure [s]; null: fixed exposure"
+    )
+    full_well_e: float | None = Field(
+        None,
+        ge=10.0,
+        description="electrons of a white pixel at gain 1, which set the shot noise; null: no noise",
+    )
     read_noise_e: float = Field(0.0, ge=0.0, description="standard deviation of the readout [electrons]")
     dirt: float = Field(0.0, ge=0.0, le=1.0, description="share of the light that the worst smudge keeps off")
     smudges: int = Field(6, ge=1, le=64, description="number of smudges on the lens")
@@ -121,7 +127,7 @@ class CameraFaults:
         return self._bounds
 
     def begin(self, mask: Flags, now: GroupState, state: State) -> None:
-        """Look in the scenes in `mask` (M,), with a lens soiled anew, and nothing seen before."""
+        """Look in the agents in `mask` (N,), with a lens soiled anew, and nothing seen before."""
         self._sensor.begin(mask, now, state)
         rows = np.flatnonzero(mask)
         if self._conf.dirt:

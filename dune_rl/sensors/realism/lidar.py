@@ -69,7 +69,7 @@ class BeamFaults:
         self._cos, self._sin = np.float32(np.cos(apart)), np.float32(np.sin(apart))
 
     def applied(self, ranges: Floats, now: GroupState) -> Floats:
-        """`ranges` (M, n_beams) [m] with faults: `range_m` where nothing returns, otherwise within limits."""
+        """`ranges` (N, n_beams) [m] with faults: `range_m` where nothing returns, otherwise within limits."""
         conf = self._conf
         nearest, farthest = (np.float32(limit) for limit in self._limits_m)
         returned = ranges < farthest
@@ -87,7 +87,7 @@ class BeamFaults:
         return np.where(returned, measured, farthest)
 
     def _return_share(self, ranges: Floats, now: GroupState) -> Floats:
-        """Share (M, n_beams) of beams that return.
+        """Share (N, n_beams) of beams that return.
 
         Photons come back at random (a Poisson process), and one is enough: 1 - 2^-(reflectance * cos(slant) *
         (half_return_m / range)²), in the far nearly proportional to 1 / range². After the LiDAR equation for
@@ -107,7 +107,7 @@ class BeamFaults:
         return share
 
     def _cos_slant(self, near: Floats) -> Floats:
-        """Cosine (M, n_beams) of the angle at which beams of inverse range `near` meet what they meet.
+        """Cosine (N, n_beams) of the angle at which beams of inverse range `near` meet what they meet.
 
         Along a straight wall, inverse range is a sine of the bearing: its neighbours tell both whether it is
         one and how it slants. What is not flat, or seen by a single beam, counts as met head-on.

@@ -46,7 +46,7 @@ class AngleNoiseConf(NoiseConf):
 
 
 class Faults:
-    """Noise, biases and steps of the reading `name` within `bounds`, read every `period_s` in M scenes.
+    """Noise, biases and steps of the reading `name` within `bounds`, read every `period_s` of N agents.
 
     White noise of density N has the deviation N/√period; a random walk K grows by a normal number of
     K√period; a Gauss-Markov bias keeps exp(-period/correlation) of itself (IEEE Std 952-1997, annex C).

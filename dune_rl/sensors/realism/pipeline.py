@@ -24,7 +24,7 @@ class RealismConf(Settings):
     that rate, which must divide the control rate. A reading arrives `latency_s` late, a whole number of
     control steps; until then the first reading of the episode is given.
 
-    Classes for a `kind` of part take the name of one: alone ("bno055"), or as
+    Classes for a `kind` of sensor take the name of a device: alone ("bno055"), or as
     `preset` beside settings that differ. "perfect" has no faults at all.
 
     `layout` names the field with the faults of each entry of a reading; with `repeats`, of equal runs of
@@ -39,7 +39,9 @@ class RealismConf(Settings):
     rate_hz: float | None = Field(
         None, gt=0.0, le=10_000.0, description="readings a second [Hz]; null: one each control step"
     )
-    latency_s: float = Field(0.0, ge=0.0, le=2.0, description="delay of a reading, in control steps [s]")
+    latency_s: float = Field(
+        0.0, ge=0.0, le=2.0, description="delay of a reading [s], a whole number of control steps"
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -51,7 +53,7 @@ class RealismConf(Settings):
         if not isinstance(data, Mapping) or not isinstance(data.get("preset"), str):
             return data
         if cls.kind is None:
-            raise ValueError(f"preset must be null (got {data['preset']!r}): no parts are known here")
+            raise ValueError(f"preset must be null (got {data['preset']!r}): no devices are known here")
         merged = {**find_preset(data["preset"], cls.kind).settings}
         for name, given in data.items():
             both = isinstance(given, Mapping) and isinstance(merged.get(name), Mapping)
@@ -219,7 +221,7 @@ class Realism:
         return self._sensor.bounds()
 
     def begin(self, mask: Flags, now: GroupState, state: State) -> None:
-        """Read, and forget what the scenes in `mask` (M,) have read before."""
+        """Read, and forget what the agents in `mask` (N,) have read before."""
         self._sensor.begin(mask, now, state)
         rows = np.flatnonzero(mask)
         for name, reading in self._sensor.read().items():

@@ -1,4 +1,4 @@
-"""Real parts: what is known of their faults, and where it is known from."""
+"""Real devices: what is known of their faults, and the source of each figure."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ _D4XX = "Intel, 'BKMs for tuning D4xx': z² * 0.08 / (424 * 0.05), for 848 colum
 
 @dataclass(frozen=True)
 class SensorPreset:
-    """A real part: for each setting of its kind of sensor, by its dotted name, the value and its source.
+    """A real device: for each setting of its kind of sensor, by its dotted name, the value and its source.
 
     A source that begins with "estimate" is no more than that.
     """
@@ -233,12 +233,11 @@ PRESETS: Mapping[str, SensorPreset] = {
 
 
 def find_preset(name: str, kind: SensorKind | None = None) -> SensorPreset:
-    """The part called `name`, of this `kind` where one is given; ValueError where there is none."""
-    known = [key for key, part in PRESETS.items() if kind in (None, part.kind)]
+    """The device called `name`, of this `kind` where one is given; ValueError where there is none."""
+    known = [key for key, preset in PRESETS.items() if kind in (None, preset.kind)]
     if name in known:
         return PRESETS[name]
     choices = f"choose {', '.join(known[:-1])} or {known[-1]}"
     if name in PRESETS:
-        other = PRESETS[name].kind
-        raise ValueError(f"{name} is {'an' if other == 'imu' else 'a'} {other}; {choices}")
-    raise ValueError(f"no part is called {name!r}; {choices}")
+        raise ValueError(f"{name} is a device for {PRESETS[name].kind} sensors; {choices}")
+    raise ValueError(f"there is no device {name!r}; {choices}")
