@@ -59,7 +59,11 @@ def _run_on_folder(parsed: Namespace, action: str) -> None:
 def _compose(parsed: Namespace) -> EvaluateConf:
     """The settings, with those that an episode set determines, and the number of episodes."""
     from dune_rl.config.checks import validate
-    from dune_rl.evaluation.episode_sets.apply import check_set_overrides, settings_on_set
+    from dune_rl.evaluation.episode_sets.apply import (
+        check_set_overrides,
+        settings_on_set,
+        world_words,
+    )
     from dune_rl.evaluation.episode_sets.files import read_episode_set
     from dune_rl.evaluation.protocols.settings import check_protocol_overrides, settings_of_protocol
 
@@ -70,7 +74,7 @@ def _compose(parsed: Namespace) -> EvaluateConf:
     if episode_set is not None:
         check_set_overrides(str(name), overrides)
         if saved is None:
-            overrides.append(f"+world={episode_set.world}")
+            overrides += world_words(episode_set)
     protocol = override_value(overrides, "protocol")
     if protocol is not None:
         check_protocol_overrides(str(protocol), parsed.overrides)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
-from dune_rl.commands import episode_sets
+from dune_rl.commands import episode_sets, evaluate
 from dune_rl.config.build import make_simulation
 from dune_rl.config.commands import EvaluateConf
 from dune_rl.config.compose import compose, compose_environment
@@ -209,6 +209,9 @@ def test_the_command_makes_a_set_of_ones_own(
         assert 2.0 <= np.hypot(*np.subtract(row.goal, row.start[:2])) <= 6.0
     episode_sets.run(["check", "episode_sets/hills-v1.json"])
     assert "0 faults" in capsys.readouterr().out
+    words = ["set=episode_sets/hills-v1.json", "policy=random", "robot=hyperdog", "episodes=1", "scenes=1"]
+    evaluate.run([*words, "out=results"])
+    assert (tmp_path / "results" / "episodes.csv").read_text().count("\n") == 2
     # What made it is in the file, and makes it again.
     words = shlex.split(made.header.command)[4:]
     make_own(*words, "--out", "again")

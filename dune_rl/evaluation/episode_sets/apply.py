@@ -1,5 +1,6 @@
 """Settings, plans and checks of evaluations on an episode set, and the sites that a training has drawn."""
 
+import json
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
@@ -16,6 +17,7 @@ from dune_rl.core.errors import ConfigError, WorldError
 from dune_rl.env.distributions import Choice, WholeNumbers
 from dune_rl.env.requests import AgentRequest, EpisodePlan, PlannedEpisode
 from dune_rl.evaluation.episode_sets.files import EpisodeSet
+from dune_rl.worlds.registry import WORLDS
 
 Model = TypeVar("Model", bound=EnvConf)
 
@@ -49,6 +51,19 @@ def check_set_overrides(name: str, overrides: Sequence[str]) -> None:
             raise ConfigError(f"set={name} determines world and actors; leave {word} out")
         if key.partition(".")[0] in _ONE_ROBOT:
             raise ConfigError(f"set={name} is for one robot; take robot=NAME in place of {word}")
+
+
+def world_words(episode_set: EpisodeSet) -> list[str]:
+    """Overrides that choose the world of a set, with the settings that have no default, such as a path."""
+    world = episode_set.header.settings["world"]
+    known = WORLDS.settings_class(episode_set.world)
+    needed = (
+        [] if known is None else [name for name, field in known.model_fields.items() if field.is_required()]
+    )
+    return [
+        f"+world={episode_set.world}",
+        *(f"world.{name}={json.dumps(world[name])}" for name in needed if name in world and name != "name"),
+    ]
 
 
 def settings_on_set(conf: Model, episode_set: EpisodeSet) -> Model:
