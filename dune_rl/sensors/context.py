@@ -12,7 +12,7 @@ from dune_rl.rendering.participating_media import BeamMedia
 from dune_rl.rendering.scenery import BatchedBeamSurfaces
 from dune_rl.sensors.camera import CameraConf, Cameras
 from dune_rl.sensors.navigation import Navigation
-from dune_rl.sensors.sensor import Sensor
+from dune_rl.sensors.sensor import Reading, Sensor
 from dune_rl.state.sensor_carrier import SensorCarrier
 
 
@@ -31,9 +31,10 @@ class SensorContext:
     the cameras of all scenes for given settings. A control step takes `step_s`.
 
     A sensor reads other sensors of the same agents by `sensor_of`, given their names, without their rate and
-    latency: they have been measured before it. `settings_of` has the settings of the sensor that is called
-    after a kind, or the kind's defaults. `navigation` is what the robots know of their own motion where any
-    sensor has the faults of a real device.
+    latency: they have been measured before it. `reading_of` gives a function that returns a sensor's latest
+    reading as the robot has it, with rate, latency and faults. `settings_of` has the settings of the sensor
+    that is called after a kind, or the kind's defaults. `navigation` is what the robots know of their own
+    motion where any sensor has the faults of a real device.
     """
 
     num_rows: int
@@ -49,6 +50,7 @@ class SensorContext:
     air: BeamMedia
     sensor_of: Callable[[str], Sensor] = _no_sensors
     settings_of: Callable[[str], Any] = _no_sensors
+    reading_of: Callable[[str], Callable[[], Reading]] = _no_sensors
     navigation: Navigation | None = None
 
     @property

@@ -155,6 +155,31 @@ class Position(VectorSensor):
         self._store(np.concatenate([position_w, now.motion.roll_pitch_yaw[:, 2:]], axis=1))
 
 
+class GoalDirectionConf(SensorSettings):
+    """Direction of the goal and bounded distances, which tell near goals apart and far ones not."""
+
+    sensor: Literal["goal_direction"] = "goal_direction"
+    realism: None = Field(None, description="none of its own: that of the sensor goal")
+    far_m: float = Field(7.0, gt=0.0, le=1000.0, description="distance at which the first share is 1 [m]")
+    near_m: float = Field(1.5, gt=0.0, le=1000.0, description="distance at which the second share is 1 [m]")
+
+
+class GoalDirection(VectorSensor):
+    """The reading `name`, (N, 4): cosine and sine of the goal's bearing, and its distance as two shares.
+
+    The shares are of `far_m` and of `near_m`, at most 1.
+    """
+
+    def __init__(self, name: str, context: SensorContext, conf: GoalDirectionConf) -> None:
+        super().__init__(name, context.num_rows, [-1.0, -1.0, 0.0, 0.0], np.ones(4))
+        self._goal, self._conf = context.reading_of("goal"), conf
+
+    def measure(self, now: GroupState, state: State) -> None:
+        distance, bearing = self._goal().T
+        shares = distance / self._conf.far_m, distance / self._conf.near_m
+        self._store(np.stack([np.cos(bearing), np.sin(bearing), *shares], axis=1))
+
+
 class GoalConf(SensorSettings):
     """A goal has nothing to set beside its realism."""
 

@@ -16,11 +16,13 @@ from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.state import GroupState, State
 
 _OWN = {
+    "agent_tracks": "perception.agent_tracks:AgentTracks",
     "camera": "camera_sensor:CameraSensor",
     "currents": "wheels:Currents",
     "depth_strip": "depth_strip:DepthStrip",
     "encoders": "wheels:Encoders",
     "goal": "own_motion:Goal",
+    "goal_direction": "own_motion:GoalDirection",
     "height_scan": "height_scan:HeightScan",
     "imu": "imu:ImuSensor",
     "lidar": "lidar:LidarSensor",
@@ -32,6 +34,7 @@ _OWN = {
     "planar_velocity": "own_motion:PlanarVelocity",
     "position": "own_motion:Position",
     "velocity": "own_motion:Velocity",
+    "way_left": "perception.way_left:WayLeft",
 }
 
 

@@ -84,10 +84,10 @@ class VectorSensor:
 
 
 class PictureSensor:
-    """Base of sensors with several readings "<name>_<output>", each (N, *shape, channels).
+    """Base of sensors with several readings `NAME_OUTPUT`, each (N, height, width, channels).
 
-    `limits` are the channels, the lowest and the highest value and the type of each output. A subclass reads
-    chosen rows in `_look`, and all rows in `measure`.
+    `shape` is (height, width). `limits` are the channels, the lowest and the highest value and the type of
+    each output. A subclass reads chosen rows in `_look`, and all rows in `measure`.
     """
 
     def __init__(

@@ -1,6 +1,6 @@
 """The sensors of one agent group, read once a control step; their readings make the observation."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -30,12 +30,14 @@ class SensorSuite:
 
     def __init__(self, conf: Mapping[str, SensorSettings], context: SensorContext) -> None:
         self._is_realistic = any(each.realism is not None for each in conf.values())
-        self._context = replace(context, sensor_of=self._sensor, settings_of=self.settings_of)
+        self._context = replace(
+            context, sensor_of=self._sensor, settings_of=self.settings_of, reading_of=self._reading_of
+        )
         self.settings = {name: self._complete(each) for name, each in conf.items()}
         self.navigation: Navigation | None = None
-        instruments: dict[str, Sensor] = {}
+        self._instruments_by_name = instruments = dict[str, Sensor]()
         if self._is_realistic:
-            instruments = self._instruments()
+            instruments |= self._instruments()
             self.navigation = Navigation(instruments, context.num_rows, context.step_s)
             self._context = replace(self._context, navigation=self.navigation)
         shared = {
@@ -91,6 +93,14 @@ class SensorSuite:
             conf = self.settings.get(name) or self.settings_of(name)
             self._exact[name], self.sensors[name] = self._build(name, conf)
         return self._exact[name]
+
+    def _reading_of(self, name: str) -> Callable[[], Reading]:
+        """A function that returns the latest reading of the sensor `name`, as the robot has it."""
+        instrument = self._instruments_by_name.get(name)
+        if instrument is None:
+            self._sensor(name)
+            instrument = self.sensors[name]
+        return lambda: instrument.read()[name]
 
     def _build(self, name: str, conf: SensorSettings) -> tuple[Sensor, Sensor]:
         """A sensor without, and with, rate, latency and noise."""

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from dune_rl.behaviours.drivers.local_map import way_left
 from dune_rl.geometry.compiled import compile_function
+from dune_rl.sensors.perception.local_map import way_left
 
 _ARRIVED_M = 0.3
 # Closer than this to a return counts as contact: segments and responses are no more exact.

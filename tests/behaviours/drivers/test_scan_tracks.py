@@ -4,8 +4,8 @@ import numpy as np
 from drivers import LIDAR, DrivenBodies
 from yards import yard
 
-from dune_rl.behaviours.drivers.scan_tracks import ScanTracker
 from dune_rl.sensors.lidar import beam_angles
+from dune_rl.sensors.perception.scan_tracks import ScanTracker
 
 STEP_S = 0.05
 BEARINGS = beam_angles(LIDAR).reshape(LIDAR.n_segments, -1).mean(axis=1)

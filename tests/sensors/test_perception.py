@@ -1,0 +1,98 @@
+"""What robots make of their readings: the goal's direction, tracks of walkers, ways over what was seen."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from plain_worlds import box, plain
+from simulations import act, put_walkers, simulation_on, started_simulation
+
+from dune_rl.env.requests import AgentRequest
+from dune_rl.env.simulation import VectorSimulation
+
+SENSORS = {
+    "lidar": {"n_segments": 64},
+    "velocity": {},
+    "goal_direction": {},
+    "agent_tracks": {},
+    "way_left": {},
+}
+WALKER = {"body": "person", "controller": "external"}
+
+
+def readings(simulation: VectorSimulation, row: int = 0) -> dict[str, Any]:
+    return {name: values[row, 0] for name, values in simulation.observe("rover").items()}
+
+
+def test_the_direction_of_the_goal_and_bounded_distances() -> None:
+    simulation = started_simulation(sensors=SENSORS)
+    found = readings(simulation)["goal_direction"]
+    goal = simulation.state.groups["rover"].goal
+    distance, bearing = float(goal.distance[0]), float(goal.bearing[0])
+    expected = [np.cos(bearing), np.sin(bearing), min(distance / 7.0, 1.0), min(distance / 1.5, 1.0)]
+    assert found == pytest.approx(expected, abs=1e-5)
+    simulation.close()
+
+
+def test_a_walker_is_tracked_by_scans_alone() -> None:
+    simulation = simulation_on(plain(), sensors=SENSORS, actors={"walker": {**WALKER, "count": 1}})
+    simulation.reset()
+    motion = simulation.state.groups["rover"].motion
+    start, yaw = motion.position_w[0, :2], float(motion.yaw[0])
+    ahead, left = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
+    # Three metres ahead, from left to right at 1 m/s.
+    put_walkers(simulation, [[*(start + 3.0 * ahead + 0.7 * left), 0.0, yaw - np.pi / 2]])
+    for _ in range(20):
+        simulation.step({"rover": np.zeros((1, 1, 2)), "walker": np.array([[[1.0, 0.0]]])})
+    found = readings(simulation)
+    x, y, velocity_x, velocity_y, inverse, share = found["agent_tracks"][:6]
+    assert (x, abs(y)) == pytest.approx((1.0, 0.0), abs=0.15)
+    assert (velocity_x, velocity_y) == pytest.approx((0.0, -1.0), abs=0.4)
+    assert inverse == pytest.approx(1 / 3.0, rel=0.2) and share == pytest.approx(1 - 3 / 8, rel=0.2)
+    assert not found["agent_tracks"][6:].any()
+    tangential = found["agent_tracks_tangential"]
+    assert tangential.min() < -0.5 and np.count_nonzero(tangential) <= 8
+    simulation.close()
+
+
+def test_nothing_that_rests_is_tracked() -> None:
+    simulation = simulation_on(plain(box(3.0, 3.0, 0.4, 0.4, 1.0)), sensors=SENSORS)
+    simulation.reset()
+    for _ in range(40):
+        act(simulation)
+    assert not readings(simulation)["agent_tracks"].any()
+    simulation.close()
+
+
+def test_ways_lead_round_what_was_seen() -> None:
+    simulation = simulation_on(plain(box(0.0, 0.0, 0.4, 6.0, 1.0)), sensors=SENSORS)
+    simulation.reset(requests={0: {"rover_0": AgentRequest((-2.0, 0.0, 0.0), (3.0, 0.0))}})
+    ahead, left, right = 8, 12, 4
+    first = readings(simulation)["way_left"].reshape(3, 16)
+    assert first[2, ahead] == pytest.approx(-2.4, abs=0.1)
+    assert first[0, ahead] == first[0].min()
+    for _ in range(10):
+        simulation.step({"rover": np.zeros((1, 1, 2))})
+    ways = readings(simulation)["way_left"].reshape(3, 16)
+    # Straight on is the wall; the way leads round one of its ends.
+    assert min(ways[1, left], ways[1, right]) < ways[1, ahead] - 0.2
+    simulation.close()
+
+
+def test_readings_depend_on_no_other_scene() -> None:
+    found = {}
+    for scenes in (1, 3):
+        simulation = started_simulation(
+            num_scenes=scenes,
+            actors="walkers",
+            sensors=SENSORS,
+            task={"terminations": {"time_limit": {"max_steps": 30}}},
+        )
+        for step in range(20):
+            act(simulation)
+            if scenes == 3 and step == 9:
+                simulation.reset(np.array([False, True, True]))
+        found[scenes] = readings(simulation)
+        simulation.close()
+    for name, values in found[1].items():
+        np.testing.assert_allclose(values, found[3][name], atol=1e-6, err_msg=name)
