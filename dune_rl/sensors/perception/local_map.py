@@ -84,11 +84,13 @@ def _costs_of_cells(evidence: Any, costs: Any) -> None:
 
 
 @compile_function
-def solve_ways(goal_x: float, goal_y: float, costs: Any, ways: Any) -> None:
+def solve_ways(goal_x: float, goal_y: float, costs: Any, ways: Any, box: Any = (0, CELLS, 0, CELLS)) -> None:
     """Cost of the cheapest way from every cell to a goal [cells], by fast sweeping (Zhao, 2005).
 
-    A goal outside is reached from the map's edge, straight on.
+    A goal outside is reached from the map's edge, straight on. Ways are found within the `box` (first and end
+    of its columns, first and end of its rows), and are far from everywhere else.
     """
+    left, right, low, high = box
     ways[:] = _FAR
     column, row = np.int64(np.floor(goal_x)), np.int64(np.floor(goal_y))
     if 0 <= column < CELLS and 0 <= row < CELLS:
@@ -100,10 +102,10 @@ def solve_ways(goal_x: float, goal_y: float, costs: Any, ways: Any) -> None:
     for _ in range(_MOST_ROUNDS):
         change = 0.0
         for sweep in range(4):
-            for i in range(CELLS):
-                y = i if sweep < 2 else CELLS - 1 - i
-                for j in range(CELLS):
-                    x = j if sweep % 2 == 0 else CELLS - 1 - j
+            for i in range(high - low):
+                y = low + i if sweep < 2 else high - 1 - i
+                for j in range(right - left):
+                    x = left + j if sweep % 2 == 0 else right - 1 - j
                     beside = min(ways[y, max(x - 1, 0)], ways[y, min(x + 1, CELLS - 1)])
                     above = min(ways[max(y - 1, 0), x], ways[min(y + 1, CELLS - 1), x])
                     cost = costs[y, x] * CELL_M
@@ -120,11 +122,22 @@ def solve_ways(goal_x: float, goal_y: float, costs: Any, ways: Any) -> None:
 
 
 @compile_function
+def _around(one: float, other: float, margin: int) -> tuple[int, int]:
+    """First and end of the columns, or rows, from `one` to `other`, with a margin, as far as there are."""
+    first = np.int64(np.floor(min(one, other))) - margin
+    end = np.int64(np.floor(max(one, other))) + 1 + margin
+    return min(max(first, 0), CELLS - 1), max(min(end, CELLS), 1)
+
+
+@compile_function
 def update_maps(
     poses: Any, mount: Any, bearings: Any, ranges: Any, sees: Any, moves: Any, goals: Any, origins: Any,
-    evidence: Any, ways: Any, planned: Any, ages: Any,
+    evidence: Any, ways: Any, planned: Any, ages: Any, margin: int,
 ) -> None:  # fmt: skip
-    """Enter a scan into each row's map, and find the ways anew every 0.5 s, or where the goal has moved."""
+    """Enter a scan into each row's map, and find the ways anew every 0.5 s, or where the goal has moved.
+
+    They are found in a rectangle with the body and the goal, and `margin` cells around these.
+    """
     costs = np.empty((CELLS, CELLS))
     for row in range(len(poses)):
         pose, origin = poses[row], origins[row]
@@ -137,7 +150,10 @@ def update_maps(
         ages[row] += 1
         if moved or not apart < 0.5 or ages[row] >= _REPLAN_STEPS:
             _costs_of_cells(evidence[row], costs)
-            solve_ways(goal_x / CELL_M - origin[0], goal_y / CELL_M - origin[1], costs, ways[row])
+            x, y = pose[0] / CELL_M - origin[0], pose[1] / CELL_M - origin[1]
+            to_x, to_y = goal_x / CELL_M - origin[0], goal_y / CELL_M - origin[1]
+            box = (*_around(x, to_x, margin), *_around(y, to_y, margin))
+            solve_ways(to_x, to_y, costs, ways[row], box)
             planned[row, 0], planned[row, 1] = goal_x, goal_y
             ages[row] = 0
 
@@ -159,11 +175,12 @@ class LocalMap:
     """Maps (N, cells, cells) of 32 by 32 m that move along with N bodies, in the frames of their odometry.
 
     A cell is an obstacle after two returns. Beams that pass through a cell clear it. Returns from moving
-    objects are ignored.
-    `ways` are the costs to the goals, `origins` (N, 2) the numbers of the maps' first columns and rows.
+    objects are ignored. `ways` are the costs to the goals, found up to `margin` cells from the body and its
+    goal; `origins` (N, 2) are the numbers of the maps' first columns and rows.
     """
 
-    def __init__(self, num_rows: int, bearings: Array, mount: Array) -> None:
+    def __init__(self, num_rows: int, bearings: Array, mount: Array, margin: int = CELLS) -> None:
+        self._margin = margin
         self._bearings, self._mount = np.ascontiguousarray(bearings), np.ascontiguousarray(mount)
         self._evidence = np.zeros((num_rows, CELLS, CELLS), np.float32)
         self.ways = np.zeros((num_rows, CELLS, CELLS), np.float32)
@@ -191,5 +208,5 @@ class LocalMap:
         """
         update_maps(
             poses, self._mount, self._bearings, ranges, sees, moves, goals, self.origins, self._evidence,
-            self.ways, self._planned, self._ages,
+            self.ways, self._planned, self._ages, self._margin,
         )  # fmt: skip

@@ -14,6 +14,8 @@ from dune_rl.sensors.sensor import VectorSensor
 from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.state import GroupState, State
 
+# Ways are looked for up to so many cells from the robot and its goal: 6 m.
+_MARGIN = 24
 # Differences of ways are limited to these [m]: an obstacle costs far more.
 _SHORTER_M, _LONGER_M = -4.0, 6.0
 
@@ -46,7 +48,7 @@ class WayLeft(VectorSensor):
         angles = np.arange(conf.directions) * (2 * np.pi / conf.directions) - np.pi
         around = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
         self._points = np.concatenate([radius * around for radius in conf.radii_m])
-        self.map = LocalMap(context.num_rows, tracks.bearings, tracks.mount)
+        self.map = LocalMap(context.num_rows, tracks.bearings, tracks.mount, _MARGIN)
 
     def begin(self, mask: Flags, now: GroupState, state: State) -> None:
         """Begin the maps of the agents in `mask` (N,) anew, for which the ways are straight."""
