@@ -193,6 +193,7 @@ def train(conf: Conf, resume: Path | None = None, words: Sequence[str] = ()) -> 
             hyperparameters=choose_hyperparameters(config, words),
             make_pictures=EvaluationTracks,
             judged=conf.driven_group.name,
+            action_repeat=conf.physics.action_repeat,
         )
     except GroupMismatchError as error:
         owner = describe_owner(error.location, error.group, conf.path_of(error.group))

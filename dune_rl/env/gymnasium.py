@@ -52,7 +52,7 @@ class GymnasiumEnv(CopiedByReplay, gymnasium.Env):  # type: ignore[misc]
         return observations[self.agent], infos[self.agent]
 
     def step(self, action: NDArray[np.floating]) -> tuple[Observation, float, bool, bool, dict[str, float]]:
-        """Advance 1 / control_hz seconds with `action`, for most robots speed [m/s] and relative
+        """Advance `action_repeat` control steps with `action`, for most robots speed [m/s] and relative
         heading [rad].
         """
         agent = self.agent

@@ -61,7 +61,7 @@ class GymnasiumVectorEnv(CopiedByReplay, VectorEnv):  # type: ignore[misc]
         self.autoreset_mode = self._mode = _autoreset_mode(autoreset_mode)
         self.metadata = {
             **self.metadata,
-            "render_fps": simulation.physics.control_hz,
+            "render_fps": simulation.physics.decision_hz,
             "autoreset_mode": self._mode,
         }
         (self._group,) = simulation.external
@@ -120,7 +120,7 @@ class GymnasiumVectorEnv(CopiedByReplay, VectorEnv):  # type: ignore[misc]
         return mask
 
     def step(self, actions: NDArray[np.floating]) -> tuple[Observations, Array, Flags, Flags, dict[str, Any]]:
-        """Advance all scenes by a control step of 1 / control_hz seconds with `actions` (M, A).
+        """Advance all scenes by `action_repeat` control steps with `actions` (M, A).
 
         Returns observations, rewards (M,), flags (M,) of terminated and of truncated episodes, and infos: the
         metrics of the episodes so far, (M,) each.
@@ -139,7 +139,7 @@ class GymnasiumVectorEnv(CopiedByReplay, VectorEnv):  # type: ignore[misc]
         if begins.any():
             # Whatever the action of an ended episode is, it has no effect.
             values = np.where(begins[:, None], 0.0, values)
-        result = self.simulation.step({group.name: values[:, None]})
+        result = self.simulation.advance({group.name: values[:, None]})
         reward = np.where(begins, 0.0, result.groups[group.name].reward.astype(np.float64))
         terminated, truncated = result.terminated & ~begins, self._truncated(result) & ~begins
         ended = terminated | truncated

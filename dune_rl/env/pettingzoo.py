@@ -66,9 +66,9 @@ class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
             raise ConfigError("there is no external agent: give a group controller=external")
         self.simulation = simulation
         self.render_mode = render_mode
-        self.metadata = {**self.metadata, "render_fps": simulation.physics.control_hz}
+        self.metadata = {**self.metadata, "render_fps": simulation.physics.decision_hz}
         self._pictures = Pictures(simulation)
-        fps = simulation.physics.control_hz
+        fps = max(1, round(simulation.physics.decision_hz))
         self._window = Window("dune_rl", fps) if render_mode == "human" else None
         self.possible_agents = list(simulation.agents)
         self.agents: list[str] = []
@@ -119,7 +119,7 @@ class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
         dict[str, bool],
         dict[str, dict[str, float]],
     ]:
-        """Advance by a control step of 1 / control_hz seconds.
+        """Advance by `action_repeat` control steps of 1 / control_hz seconds.
 
         Raises ValueError if an agent's action is missing, has the wrong size or contains NaN; actions of
         unknown agents are ignored.
@@ -127,7 +127,7 @@ class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
         if not self.agents:
             self.simulation.check_begun()
             return {}, {}, {}, {}, {}
-        result = self.simulation.step(
+        result = self.simulation.advance(
             {group.name: self._actions(group, actions) for group in self.simulation.external}
         )
         after = [] if result.done[0] else self._present()

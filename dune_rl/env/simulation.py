@@ -48,6 +48,19 @@ class SimulationStep:
         """Which scenes' episodes have ended, (M,); they must be reset before the next step."""
         return self.terminated | self.truncated
 
+    def followed_by(self, later: "SimulationStep") -> "SimulationStep":
+        """The result of both steps: sums of rewards, and the ends of scenes that had not ended before."""
+        groups = {
+            name: replace(step, reward=self.groups[name].reward + step.reward)
+            for name, step in later.groups.items()
+        }
+        going_on = ~self.done
+        return SimulationStep(
+            groups,
+            self.terminated | (later.terminated & going_on),
+            self.truncated | (later.truncated & going_on),
+        )
+
 
 class VectorSimulation:
     """M scenes with the same agent groups, stepped together; every environment wraps one.
@@ -242,6 +255,21 @@ class VectorSimulation:
             for group in self.external
         }
         return SimulationStep(steps, terminated, truncated)
+
+    def advance(self, actions: Mapping[str, NDArray[np.floating]]) -> SimulationStep:
+        """Advance all scenes by `physics.action_repeat` control steps with the same actions.
+
+        Rewards are summed. A scene whose episode ends rests until it is reset.
+        """
+        result = self.step(actions)
+        for _ in range(self.physics.action_repeat - 1):
+            done = result.done
+            if done.all():
+                break
+            if done.any():
+                self.rest(done)
+            result = result.followed_by(self.step(actions))
+        return result
 
     def _advance_physics(self) -> None:
         """Advance all scenes, and set kinematic bodies to where robots blocked them."""

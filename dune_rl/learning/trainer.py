@@ -87,6 +87,7 @@ class Trainer:
         hyperparameters: Mapping[str, HParam] | None = None,
         make_pictures: Callable[[EnvBase, int], EvaluationPictures] | None = None,
         judged: str | None = None,
+        action_repeat: int = 1,
     ) -> None:
         source = find_checkpoint_file(resume, CHECKPOINT_FILE) if resume else None
         self._saved = read_checkpoint_file(source, "checkpoint") if source else None
@@ -113,7 +114,7 @@ class Trainer:
         self.frames = 0
         self._next_save = learning.checkpoint.every_frames
         self._level: float | None = None
-        self._judged = judged
+        self._judged, self._action_repeat = judged, action_repeat
         self._warmup = WarmUp(self._learners)
         self._status = RunStatus(self._reporter, self._evaluation, total_frames)
         if self._saved is None:
@@ -221,7 +222,7 @@ class Trainer:
 
     def _learn(self, batch: TensorDictBase) -> None:
         warmed_up = self._warmup.goes_on(self.frames)
-        self.frames += batch.numel()
+        self.frames += batch.numel() * self._action_repeat
         for group, learner in self._learners.items():
             learner.absorb(select_group(batch, group), self.frames)
         if self._conf.curriculum is not None:

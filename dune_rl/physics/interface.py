@@ -39,6 +39,7 @@ class PhysicsConf(Settings):
     backend: Engine = "bullet"
     physics_hz: int = Field(200, ge=20, le=10_000)
     control_hz: int = Field(20, ge=1, le=1_000)
+    action_repeat: int = Field(1, ge=1, le=1_000, description="control steps for which an action is held")
     solver_iterations: int = Field(10, ge=1, le=1_000)
     friction: FrictionModel = "pyramid"
 
@@ -55,6 +56,11 @@ class PhysicsConf(Settings):
     def substeps(self) -> int:
         """Physics steps in one control step."""
         return self.physics_hz // self.control_hz
+
+    @property
+    def decision_hz(self) -> float:
+        """Actions a second."""
+        return self.control_hz / self.action_repeat
 
     @property
     def control_step_s(self) -> float:

@@ -267,6 +267,16 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
             "lidar_3d": {"outputs": ["range", "intensity", "segmentation"]},
         }
     ),
+    ("sensors", "perception"): parse_sensors(
+        {
+            "lidar": {"n_segments": 64},
+            **{
+                name: {"sensor": "lidar_past", "past_s": past_s}
+                for name, past_s in (("past_025", 0.25), ("past_05", 0.5), ("past_1", 1.0))
+            },
+            **{name: {} for name in ("agent_tracks", "way_left", "goal_direction", "velocity")},
+        }
+    ),
     ("sensors", "walker"): walker_sensors(),
     ("task", "point_goal"): TaskConf(),
     ("task", "dune_code"): with_terms(

@@ -135,7 +135,7 @@ class DuneEnv(CopiedByReplay, EnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         actions = {group.name: tensordict[group.name, "action"].detach().numpy() for group in self._groups}
-        result = self._simulation.step(actions)
+        result = self._simulation.advance(actions)
         return self._pack(result.groups, result.terminated, result.truncated)
 
     def _set_seed(self, seed: int | None) -> None:

@@ -103,7 +103,7 @@ class EpisodeView:
         state, row = self.simulation.state.groups[self.group.name], self._row
         lines = [] if len(self.simulation.agents) == 1 else [self.agent]
         lines += [
-            f"{steps / self.conf.physics.control_hz:5.1f} s",
+            f"{steps / self.conf.physics.decision_hz:5.1f} s",
             f"speed {state.motion.velocity_b[row, 0]:5.2f} m/s",
         ]
         if self.group.task is not None:
@@ -149,12 +149,12 @@ def write_orbit(view: EpisodeView, path: Path) -> Path:
 def write_sheet(view: EpisodeView, path: Path) -> Path:
     """The readings of all sensors at one instant of an episode (PNG)."""
     conf = view.conf
-    last = round(conf.after_s * conf.physics.control_hz)
+    last = round(conf.after_s * conf.physics.decision_hz)
     steps = 0
     for steps, _ in enumerate(view.run()):
         if steps >= last:
             break
-    title = f"{conf.world.name}, seed {conf.seed}, {steps / conf.physics.control_hz:.1f} s into the episode"
+    title = f"{conf.world.name}, seed {conf.seed}, {steps / conf.physics.decision_hz:.1f} s into the episode"
     if len(view.simulation.agents) > 1:
         title += f", {view.agent}"
     picture = view.render_from_behind(1280, 960, turns_for_agents=True)
@@ -172,9 +172,9 @@ def write_video(
 ) -> Path:
     """A video of an episode (MP4); `also` is called with each of its pictures, RGB (height, width, 3)."""
     conf = view.conf
-    every = max(1, round(conf.physics.control_hz / conf.frames_per_s))
-    rate = conf.physics.control_hz / every
-    longest = round(conf.longest_s * conf.physics.control_hz)
+    every = max(1, round(conf.physics.decision_hz / conf.frames_per_s))
+    rate = conf.physics.decision_hz / every
+    longest = round(conf.longest_s * conf.physics.decision_hz)
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),

@@ -122,7 +122,7 @@ def solve_ways(goal_x: float, goal_y: float, costs: Any, ways: Any, box: Any = (
 
 
 @compile_function
-def _around(one: float, other: float, margin: int) -> tuple[int, int]:
+def _around(one: float, other: float, margin: int) -> Any:
     """First and end of the columns, or rows, from `one` to `other`, with a margin, as far as there are."""
     first = np.int64(np.floor(min(one, other))) - margin
     end = np.int64(np.floor(max(one, other))) + 1 + margin
