@@ -159,6 +159,7 @@ def _resume(path: Path, processes: int | None) -> None:
     from dune_rl.evaluation.folder import ResultsFolder, read_provenance, read_settings
     from dune_rl.evaluation.provenance import check_same_sources
     from dune_rl.evaluation.run_plan import prepare_run, run_plan
+    from dune_rl.evaluation.running import EvaluationPlan
 
     provenance, conf = read_provenance(path), read_settings(path)
     if provenance.get("complete"):

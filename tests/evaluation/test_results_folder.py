@@ -118,7 +118,6 @@ def test_results_are_never_replaced_unasked(
     assert "results is complete; there is nothing to resume" in capsys.readouterr().err
 
 
-@pytest.mark.slow
 def test_an_evaluation_that_was_cut_off_goes_on(
     call: Call,
     folder: Path,

@@ -95,7 +95,7 @@ def _volume(triangles: np.ndarray) -> float:
 
 
 def _module(name: str) -> str:
-    return name if name in ("flat", "island") else f"{name}.build"
+    return name if name in ("flat", "island", "rubicon") else f"{name}.build"
 
 
 def digest_in_another_process(name: str, conf: str) -> str:

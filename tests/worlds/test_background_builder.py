@@ -32,7 +32,7 @@ def alive(pid: int) -> bool:
     # One that has ended and that nobody has waited for still has a number.
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except FileNotFoundError:
+    except (FileNotFoundError, ProcessLookupError):
         return False
 
 
