@@ -75,8 +75,8 @@ def test_the_plus_makes_no_difference(world: str, actors: str, seed: str) -> Non
         (["world=flat", "max_steps=64"],
          "max_steps is not a setting; did you mean task.terminations.time_limit.max_steps?"),
         (["world=flat", "physics.zzz=1"],
-         "physics.zzz is not a setting; physics has backend, physics_hz, control_hz, solver_iterations, "
-         "friction"),
+         "physics.zzz is not a setting; physics has backend, physics_hz, control_hz, action_repeat, "
+         "solver_iterations, friction"),
         (["world=flat", "actors.walker.body.speed_mps=9"],
          "actors.walker.body.speed_mps must be at most 5.0 (got 9)"),
         (["world=flat", "actors.1.speed_mps=9"],

@@ -103,11 +103,11 @@ def test_settings_survive_their_dump_and_another_process():
     ("sensors", "message"),
     [
         ({"enabled": ["lidr"]}, r"sensors\.lidr: there is no sensor 'lidr'.*; did you mean lidar\?"),
-        ({"enabled": ["rear"]}, r"sensors\.rear: there is no sensor 'rear'.*; choose camera, "),
+        ({"enabled": ["rear"]}, r"sensors\.rear: there is no sensor 'rear'.*; choose agent_tracks, "),
         ({"enabled": "rear"}, r"sensors: enabled must be a list of the names of sensors \(got 'rear'\)"),
         ({"enabled": ["camera_past"]}, r"sensors\.camera_past\.lidar must be the name of a LiDAR"),
         ({"enabled": ["low_past"]}, r"sensors: there is no sensor 'low' to read"),
-        ({"rear": {"width": 8}}, r"sensors\.rear: there is no sensor 'rear'.*choose camera, "),
+        ({"rear": {"width": 8}}, r"sensors\.rear: there is no sensor 'rear'.*choose agent_tracks, "),
         ({"rear": {**REAR, "width": 0}}, r"sensors\.rear\.width must be at least 1 \(got 0\)"),
         ({"rear": {**REAR, "colour": 6}}, r"sensors\.rear\.colour is not a setting"),
         ({"rear": {**REAR, "mount_b": [0, 0, -1]}}, r"rear\.mount_b lies in the"),
