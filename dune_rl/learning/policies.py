@@ -32,9 +32,16 @@ def go_to_goal_fault(spec: PolicySpec) -> str | None:
     """Why `go_to_goal` cannot act for a group of this spec; None where it can."""
     if len(spec.high) != _SPEED_AND_HEADING:
         return f"it outputs a speed and a heading, and the action has {len(spec.high)} components"
-    if "goal" not in spec.sizes:
+    if _goal_key(spec) is None:
         return "it needs the sensor goal"
     return None
+
+
+def _goal_key(spec: PolicySpec) -> str | None:
+    """The sensor that tells where the goal is; a body that cannot turn on the spot needs the distance."""
+    if "goal" in spec.sizes:
+        return "goal"
+    return "goal_direction" if "goal_direction" in spec.sizes and spec.turning is None else None
 
 
 def built_in_policy(name: str, env: EnvBase, seed: int = 0) -> Policy:
@@ -79,14 +86,18 @@ class GoToGoal:
                 f"go_to_goal cannot act for the group {group}: {fault}; take policy=random, in training "
                 "learning.warm_up=random, or another robot.action or sensors"
             )
-        self._group = group
+        self._group, self._key = group, _goal_key(spec)
         self._top_speed = spec.high[0]
         self._turning = spec.turning
         self._least_share = _TURNING_SHARE if self._turning else 0.0
 
     def action(self, observation: TensorDictBase) -> Tensor:
         """Action (..., G, 2): the goal's heading, and the part of the top speed that points at the goal."""
-        distance, heading = observation.get((self._group, "observation", "goal"))[..., :2].unbind(-1)
+        goal = observation.get((self._group, "observation", self._key))
+        if self._key == "goal":
+            distance, heading = goal[..., :2].unbind(-1)
+        else:
+            distance, heading = goal[..., 2], torch.atan2(goal[..., 1], goal[..., 0])
         speed = self._top_speed * heading.cos().clamp(min=self._least_share)
         if self._turning is not None:
             radius, rear = self._turning
@@ -108,7 +119,7 @@ class WarmupPolicy(TensorDictModuleBase):
 
     def __init__(self, group: str, spec: PolicySpec) -> None:
         super().__init__()
-        self.in_keys = [(group, "observation", "goal")]
+        self.in_keys = [(group, "observation", _goal_key(spec))]
         self.out_keys = [(group, "action")]
         self._group = group
         self._go_to_goal = GoToGoal(group, spec)
