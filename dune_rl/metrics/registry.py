@@ -17,6 +17,7 @@ _OWN = {
     "clearance": "paper:clearance",
     "collisions": "paper:collisions",
     "collisions_with": "social:collisions_with",
+    "barn_score": "driving:BarnScore",
     "dune_code_attempts": "dune_code:DuneCodeAttempts",
     "dune_code_clearance": "dune_code:DuneCodeClearance",
     "dune_code_collisions": "dune_code:dune_code_collisions",

@@ -29,6 +29,9 @@ class SpawnConf(Settings):
     region: Literal["world", "anywhere"] | Rectangle = "world"
     max_slope_deg: float = Field(default=25.0, gt=0.0, le=60.0, description="steepest ground to cross")
     margin_m: float = Field(default=0.1, ge=0.0, le=5.0, description="room beside the footprint")
+    passage_m: float | None = Field(
+        default=None, gt=0.0, le=100.0, description="least width of ways to goals; null: the footprint's"
+    )
     min_goal_distance_m: float = Field(default=2.0, ge=0.0, le=1000.0)
     robots_apart_m: float = Field(default=0.5, ge=0.0, le=100.0, description="room between footprints")
     max_water_m: float = Field(default=0.1, ge=0.0, le=100.0, description="deepest water at starts and goals")
@@ -82,9 +85,10 @@ _ROBOT = SpawnedBody()
 class Spawner:
     """Samples start poses and goals that a disc of `footprint_radius_m` can move between.
 
-    All are in one connected part of the free space: the part that covers most of
-    the region. `is_passable`, of points (..., 2), tells where else they cannot be.
-    Raises WorldError, which names the setting of `body` to change, where the world has none.
+    All are in one connected part of the free space: the part that covers most of the region. With
+    `passage_m` ways through it may be narrower than the disc. `is_passable`, of points (..., 2), tells where
+    else they cannot be. Raises WorldError, which names the setting of `body` to change, where the world has
+    none.
     """
 
     def __init__(
@@ -105,10 +109,12 @@ class Spawner:
         self._most_goal_distance_m = np.inf
         # Whether some of the region is too deep below water, so that points must be looked at one by one.
         self._is_wet = False
+        passage = (
+            footprint_radius_m if conf.passage_m is None else min(footprint_radius_m, conf.passage_m / 2)
+        )
         # Kept with the world, which other environments may be in, such as that of the evaluation.
         self.free_space = world.memoize(
-            ("free space", footprint_radius_m, conf.max_slope_deg),
-            lambda: FreeSpace(world, footprint_radius_m, conf.max_slope_deg),
+            ("free space", passage, conf.max_slope_deg), lambda: FreeSpace(world, passage, conf.max_slope_deg)
         )
         # Centres (K, 2) [m] of the cells that starts and goals are drawn from.
         self._part, self.cells = self._largest_part(self.free_space, footprint_radius_m + conf.margin_m)

@@ -41,6 +41,7 @@ from dune_rl.worlds.importing.mesh_world import MeshConf
 from dune_rl.worlds.importing.sdf.build import SdfConf
 from dune_rl.worlds.inspection.build import InspectionConf
 from dune_rl.worlds.island import IslandConf
+from dune_rl.worlds.obstacle_course import ObstacleCourseConf
 from dune_rl.worlds.rubicon import RubiconConf
 
 CONF = paths.conf_folder()
@@ -331,6 +332,7 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
     ("world", "flat"): FlatConf(),
     ("world", "heightmap"): HeightmapConf(path=GIVEN),
     ("world", "island"): IslandConf(),
+    ("world", "obstacle_course"): ObstacleCourseConf(),
     ("world", "mesh"): MeshConf(path=GIVEN),
     ("world", "rubicon"): RubiconConf(),
     ("world", "sdf"): SdfConf(path=GIVEN),

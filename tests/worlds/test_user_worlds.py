@@ -258,6 +258,8 @@ def test_weak_props_are_warned_of_and_sound_ones_are_not() -> None:
         check_world(plain(replace(CUBE, faces=CUBE.faces[:, ::-1])))
 
 
-@pytest.mark.parametrize("name", ["flat", "inspection", "construction", "rubicon", "island"])
+@pytest.mark.parametrize(
+    "name", ["flat", "inspection", "construction", "rubicon", "island", "obstacle_course"]
+)
 def test_our_own_worlds_are_sound(name: str) -> None:
     check_world(build_world(compose_environment(name).world))

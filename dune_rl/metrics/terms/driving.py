@@ -10,6 +10,8 @@ from dune_rl.core.errors import ConfigError
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.metrics.terms.paper import vector_norms
 from dune_rl.state.state import GroupState, State
+from dune_rl.worlds.batched_worlds import BatchedWorlds
+from dune_rl.worlds.shortest_way import shortest_way_m
 
 
 class PathLength:
@@ -62,6 +64,45 @@ class Spl:
             self._share = np.where(reached, share, self._share)
         clean = group.contacts.total == 0
         return np.where(clean, self._share, 0.0)
+
+
+class BarnScore:
+    """The score of the BARN challenge, so far: 0 until `success` is 1.
+
+    Then it is T / clip(t, 2 T, 8 T), with t the time to the first goal and T the time for the shortest way at
+    `top_speed_mps`: 0.5 at best. Ways are those of a disc of half the body's width. Xiao et al. 2022,
+    Autonomous Ground Navigation in Highly Constrained Spaces.
+    """
+
+    def __init__(
+        self,
+        num_rows: int,
+        *,
+        top_speed_mps: Annotated[float, Field(gt=0.0, description="of the shortest way [m/s]")] = 2.0,
+        termination: str = "goal_reached",
+    ) -> None:
+        self._top_speed_mps, self._termination = top_speed_mps, termination
+        self._start_w, self._goal_w = np.zeros((2, num_rows, 2))
+        self._score = np.zeros(num_rows)
+
+    def reset(self, mask: Flags, group: GroupState) -> None:
+        """The episodes of the agents in `mask` (N,) begin."""
+        self._start_w[mask] = group.motion.position_w[mask, :2]
+        self._goal_w[mask] = group.goal.position_w[mask]
+        self._score[mask] = 0.0
+
+    def __call__(self, state: State, group: GroupState) -> Array:
+        """Scores (N,)."""
+        reached = group.ended_by(self._termination) & (self._score == 0.0)
+        for row in np.flatnonzero(reached).tolist():
+            assert isinstance(state.ground, BatchedWorlds)
+            world = state.ground.worlds[row // group.count]
+            way_m = shortest_way_m(world, self._start_w[row], self._goal_w[row], group.body.radius_m)
+            least_s = way_m / self._top_speed_mps
+            taken_s = group.episode.steps[row] * group.episode.step_s
+            if np.isfinite(least_s):
+                self._score[row] = least_s / np.clip(taken_s, 2.0 * least_s, 8.0 * least_s)
+        return np.where(group.contacts.total == 0, self._score, 0.0)
 
 
 def ground_speed(state: State, group: GroupState) -> Array:
