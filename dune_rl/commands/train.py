@@ -149,6 +149,11 @@ def _resume(source: str, overrides: Sequence[str], folders: Sequence[str]) -> No
             f"{source} is a finished run of {frames:,} frames, and total_frames is {conf.total_frames:,}: to "
             f"train on, set more of them, such as total_frames={2 * frames}"
         )
+    if conf.physics.action_repeat != before.physics.action_repeat:
+        raise ConfigError(
+            f"physics.action_repeat={conf.physics.action_repeat}: the run learned with "
+            f"{before.physics.action_repeat}; leave it out, or leave out resume and begin a new run"
+        )
     for group in conf.external_groups:
         setting, start = conf.learning.start_of(group.name)
         if start != before.learning.start_of(group.name)[1]:
@@ -204,6 +209,12 @@ def train(conf: Conf, resume: Path | None = None, words: Sequence[str] = ()) -> 
     command_line.print_world_notes(console, conf)
     try:
         result = trainer.train()
+    except DuneError:
+        if not (run_dir / CHECKPOINT_FILE).exists():
+            # Nothing has been learned: the corrected command may use the folder.
+            for file in (run_dir / "config.yaml", *run_dir.glob("events.out.tfevents.*")):
+                file.unlink(missing_ok=True)
+        raise
     except KeyboardInterrupt:
         is_saved = (run_dir / CHECKPOINT_FILE).exists()
         what = f"its last save stays; go on with resume={run_dir}" if is_saved else "nothing of it was saved"

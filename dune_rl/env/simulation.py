@@ -125,7 +125,10 @@ class VectorSimulation:
             if conf.group in (None, group.name) and conf.measure in group.metric_names:
                 return group.name
         whose = "an external group" if conf.group is None else f"the group {conf.group!r}"
-        raise ConfigError(f"learning.curriculum: {whose} with the metric {conf.measure!r} is not here")
+        raise ConfigError(
+            f"learning.curriculum: {whose} with the metric {conf.measure!r} is not here; external groups are "
+            f"{', '.join(group.name for group in self.external) or 'none'}"
+        )
 
     # -- contents ---------------------------------------------------------------------------------
 

@@ -33,7 +33,7 @@ def go_to_goal_fault(spec: PolicySpec) -> str | None:
     if len(spec.high) != _SPEED_AND_HEADING:
         return f"it outputs a speed and a heading, and the action has {len(spec.high)} components"
     if _goal_key(spec) is None:
-        return "it needs the sensor goal"
+        return "it needs the sensor goal" + ("" if spec.turning else " or goal_direction")
     return None
 
 

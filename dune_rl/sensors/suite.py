@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 from dune_rl.core.errors import ConfigError
+from dune_rl.core.suggestions import advise
 from dune_rl.geometry.arrays import Flags
 from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.navigation import ControllerMotion, Navigation
@@ -14,6 +15,9 @@ from dune_rl.sensors.registry import SENSORS
 from dune_rl.sensors.sensor import Bounds, Reading, Sensor
 from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.state import GroupState, Motion, State
+
+# Sensors of robots that know where they are by their receiver.
+_NEED_POSITION = ("goal", "goal_direction", "position", "way_left")
 
 
 class SensorSuite:
@@ -114,7 +118,8 @@ class SensorSuite:
             return conf
         known = SENSORS.settings_class(kind)
         if known is None:
-            raise ConfigError(f"sensors: there is no sensor {kind!r} to read")
+            remedy = advise(kind, [*self.settings, *SENSORS.names()])
+            raise ConfigError(f"sensors: there is no sensor {kind!r} to read; {remedy}")
         return self._complete(known())
 
     def _complete(self, conf: SensorSettings) -> SensorSettings:
@@ -143,7 +148,7 @@ class SensorSuite:
             exact = SENSORS.build_sensor(velocity, "velocity", self._context)
             legs = realistic(exact, LEG_SPEED, rows, step_s)
             instruments |= {"legs": legs, "velocity": EstimatedVelocity(legs, imu, rows)}
-        if any(conf.sensor in ("goal", "position") for conf in self.settings.values()):
+        if any(conf.sensor in _NEED_POSITION for conf in self.settings.values()):
             instruments["position"] = self._build("position", self.settings_of("position"))[1]
         return instruments
 

@@ -7,6 +7,7 @@ import pytest
 from plain_worlds import box, plain
 from simulations import act, put_walkers, simulation_on, started_simulation
 
+from dune_rl.core.errors import ConfigError
 from dune_rl.env.requests import AgentRequest
 from dune_rl.env.simulation import VectorSimulation
 
@@ -96,3 +97,39 @@ def test_readings_depend_on_no_other_scene() -> None:
         simulation.close()
     for name, values in found[1].items():
         np.testing.assert_allclose(values, found[3][name], atol=1e-6, err_msg=name)
+
+
+def test_a_lidar_of_another_name_is_tracked() -> None:
+    sensors = {"low": {"sensor": "lidar", "n_segments": 16}, "agent_tracks": {"lidar": "low"}, "velocity": {}}
+    simulation = started_simulation(sensors=sensors)
+    assert readings(simulation)["agent_tracks_radial"].shape == (16,)
+    simulation.close()
+
+
+@pytest.mark.parametrize("realism", [{"lidar": {"realism": "rplidar_a2m8"}}, {"imu": {"realism": "bno055"}}])
+def test_with_realism_the_goal_is_that_of_the_receiver(realism: dict[str, Any]) -> None:
+    found = []
+    for changes in ({}, realism):
+        simulation = started_simulation(sensors={**SENSORS, **changes})
+        for _ in range(5):
+            act(simulation, [0.5, 0.2])
+        found.append(readings(simulation))
+        simulation.close()
+    for name in ("goal_direction", "way_left"):
+        assert np.abs(found[0][name] - found[1][name]).max() > 1e-6
+
+
+@pytest.mark.parametrize(
+    ("sensors", "said"),
+    [
+        (
+            {"agent_tracks": {"lidar": "velocity"}, "velocity": {}},
+            r"sensors.agent_tracks.lidar must be .* LiDAR",
+        ),
+        ({"agent_tracks": {"lidar": "lidr"}}, r"no sensor 'lidr' to read; did you mean lidar"),
+        ({"lidar": {}, "way_left": {"tracks": "lidar"}}, r"sensors.way_left.tracks must be .* agent_tracks"),
+    ],
+)
+def test_other_sensors_are_refused(sensors: dict[str, Any], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        started_simulation(sensors=sensors)

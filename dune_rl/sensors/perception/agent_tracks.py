@@ -5,9 +5,10 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from dune_rl.core.errors import ConfigError
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.sensors.context import SensorContext
-from dune_rl.sensors.lidar import LidarConf, beam_angles
+from dune_rl.sensors.lidar import LidarConf, LidarSensor, beam_angles
 from dune_rl.sensors.perception.scan_tracks import ScanTracker
 from dune_rl.sensors.sensor import Bounds, Reading, mount_position
 from dune_rl.sensors.settings import SensorSettings
@@ -50,8 +51,11 @@ class AgentTracks:
 
     def __init__(self, name: str, context: SensorContext, conf: AgentTracksConf) -> None:
         self.conf, self._name, self._step_s = conf, name, context.step_s
+        sensor = context.sensor_of(conf.lidar)
+        if not isinstance(sensor, LidarSensor):
+            raise ConfigError(f"sensors.{name}.lidar must be the name of a LiDAR (got {conf.lidar!r})")
+        self.lidar: LidarConf = sensor.lidar.conf
         self._scan, self._velocity = context.reading_of(conf.lidar), context.reading_of("velocity")
-        self.lidar: LidarConf = context.settings_of(conf.lidar)
         segments = self.lidar.n_segments
         # Of the segments, in the body frame.
         self.bearings: Array = beam_angles(self.lidar).reshape(segments, -1).mean(axis=1)

@@ -5,6 +5,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
+from dune_rl.core.errors import ConfigError
 from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.geometry.compiled import compile_function
 from dune_rl.sensors.context import SensorContext
@@ -43,7 +44,10 @@ class WayLeft(VectorSensor):
         size = len(conf.radii_m) * conf.directions
         super().__init__(name, context.num_rows, np.full(size, _SHORTER_M), np.full(size, _LONGER_M))
         tracks = context.sensor_of(conf.tracks)
-        assert isinstance(tracks, AgentTracks)
+        if not isinstance(tracks, AgentTracks):
+            raise ConfigError(
+                f"sensors.{name}.tracks must be the name of a sensor agent_tracks (got {conf.tracks!r})"
+            )
         self._tracks, self._goal = tracks, context.reading_of("goal")
         angles = np.arange(conf.directions) * (2 * np.pi / conf.directions) - np.pi
         around = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
