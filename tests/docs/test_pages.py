@@ -1,6 +1,7 @@
 """The documentation is true: its snippets run, its commands compose, its links lead somewhere."""
 
 import importlib.util
+import importlib
 import re
 import shlex
 from collections.abc import Iterator
@@ -164,6 +165,8 @@ def test_every_command_of_the_package_is_shown() -> None:
 )
 def test_snippets_run(page: Path, snippet: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_named_files(folder)
+    # Python may have listed this folder in the same instant, before the files were there.
+    importlib.invalidate_caches()
     exec(compile(snippet, page_name(page), "exec"), {"__name__": "__main__"})
 
 
