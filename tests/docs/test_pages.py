@@ -1,7 +1,7 @@
 """The documentation is true: its snippets run, its commands compose, its links lead somewhere."""
 
-import importlib.util
 import importlib
+import importlib.util
 import re
 import shlex
 from collections.abc import Iterator
