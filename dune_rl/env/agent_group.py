@@ -124,6 +124,7 @@ class AgentGroup:
         self.action_bounds = low.astype(np.float32), high.astype(np.float32)
         self.action_size = len(low)
         self.rest_action = body.rest_action()
+        self.last_action = np.zeros((num_rows, self.action_size))
         self.description = replace(body.description, avoids=not setup.is_scripted)
         self.num_rows = num_rows
         self.scanner: ScanQueries | None = None
@@ -192,6 +193,7 @@ class AgentGroup:
         """Clear the history of the agents in `mask` (N,)."""
         self.body.reset(mask)
         self.collisions.reset(mask)
+        self.last_action = np.where(mask[:, None], 0.0, self.last_action)
         for flags in (self.done, self.terminated, self.truncated):
             flags[mask] = False
 
@@ -254,8 +256,19 @@ class AgentGroup:
             # Behaviours may leave the last numbers out.
             rest = self.rest_action[: actions.shape[1]]
             actions = np.where(self.done[:, None], rest, actions)
+        if not self.setup.is_scripted:
+            self.last_action = self._normalized(actions)
         known = now.motion if self.suite is None else self.suite.controller_motion(now)
         self.body.command(actions, known)
+
+    def _normalized(self, actions: Array) -> Array:
+        """`actions` (N, a) between their bounds, -1 to 1, (N, A); 0 where a behaviour leaves numbers out."""
+        size = actions.shape[1]
+        low, high = (each[:size] for each in self.body.action_bounds())
+        normalized = np.zeros((self.num_rows, self.action_size))
+        shares = (2.0 * actions - low - high) / np.maximum(high - low, 1e-12)
+        normalized[:, :size] = np.clip(shares, -1.0, 1.0)
+        return normalized
 
     def hold_back(self, scenes: Counts, poses: Array) -> None:
         """Set the bodies of `scenes` (S,) to `poses` (S, G, 6), where robots blocked them."""
@@ -278,6 +291,7 @@ class AgentGroup:
         if self.presence is not None and self._arrived.any():
             self.body.teleport(np.flatnonzero(self._arrived))
             self.collisions.reset(self._arrived)
+            self.last_action = np.where(self._arrived[:, None], 0.0, self.last_action)
             self.body.read_start(self._arrived)
             self.goals.begin(self._arrived, self.body.motion)
 

@@ -31,6 +31,7 @@ def sensor_context(
     *,
     num_rows: int,
     step_s: float,
+    action_size: int = 0,
     worlds_differ: bool = False,
 ) -> SensorContext:
     """What the sensors of a group with `num_rows` agents see of `worlds`.
@@ -44,6 +45,7 @@ def sensor_context(
     return SensorContext(
         num_rows=num_rows,
         step_s=step_s,
+        action_size=action_size,
         carrier=carrier,
         solid=BatchedRayScenes(worlds.worlds.map(_rays)),
         surfaces=BatchedBeamSurfaces(worlds.worlds.map(beam_surface)),

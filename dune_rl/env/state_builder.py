@@ -155,6 +155,7 @@ class StateBuilder:
                 absent=group.absent,
                 energy=group.body.energy,
                 scanner=group.scanner,
+                last_action=group.last_action,
                 endings=MappingProxyType(endings[index]),
             )
         return State(states, self._worlds, len(steps))

@@ -28,7 +28,8 @@ class SensorContext:
     and brightness, `terrain` the bare ground, and `air` the haze and the grass that beams pass. `meshes` are
     the moving bodies in the order of the columns of `GroupState.neighbours`. Agents of any scene stay in the
     rectangle `extent` (xmin, xmax, ymin, ymax) and between `heights` (zmin, zmax) [m]. `make_cameras` builds
-    the cameras of all scenes for given settings. A control step takes `step_s`.
+    the cameras of all scenes for given settings. A control step takes `step_s`; an action of the group has
+    `action_size` numbers.
 
     A sensor reads other sensors of the same agents by `sensor_of`, given their names, without their rate and
     latency: they have been measured before it. `reading_of` gives a function that returns a sensor's latest
@@ -48,6 +49,7 @@ class SensorContext:
     heights: tuple[float, float]
     make_cameras: Callable[[CameraConf], Cameras]
     air: BeamMedia
+    action_size: int = 0
     sensor_of: Callable[[str], Sensor] = _no_sensors
     settings_of: Callable[[str], Any] = _no_sensors
     reading_of: Callable[[str], Callable[[], Reading]] = _no_sensors

@@ -25,6 +25,7 @@ _OWN = {
     "goal_direction": "own_motion:GoalDirection",
     "height_scan": "height_scan:HeightScan",
     "imu": "imu:ImuSensor",
+    "last_action": "last_action:LastAction",
     "lidar": "lidar:LidarSensor",
     "lidar_3d": "lidar_3d:Lidar3d",
     "lidar_past": "past_scan:LidarPast",

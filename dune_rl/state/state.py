@@ -263,7 +263,10 @@ class GroupState:
     or has not begun, while their scene's goes on. `episode.steps` of an agent that comes later count from
     then on. `absent` (N,) marks agents that have not come yet, or are gone: they are far outside of the
     world, at rest, and `done`; None where agents do not come and go. `energy` and `scanner` are None unless a
-    term needs them. `endings` has the flags (N,) of each termination term by name; it is empty for the
+    term needs them. `last_action` (N, A) is the action of the last control step, -1 at the lower and 1 at the
+    upper bounds of actions, and 0 at the start of an episode.
+
+    `endings` has the flags (N,) of each termination term by name; it is empty for the
     terminations themselves, which are evaluated before rewards and metrics.
     """
 
@@ -279,12 +282,15 @@ class GroupState:
     absent: Flags | None = None
     energy: EnergyState | None = None
     scanner: ScanQueries | None = None
+    last_action: Array | None = None
     endings: Mapping[str, Flags] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         freeze(self.done)
         if self.absent is not None:
             freeze(self.absent)
+        if self.last_action is not None:
+            freeze(self.last_action)
 
     @cached_property
     def nearest_return(self) -> Array:

@@ -44,7 +44,9 @@ SMALL = {
     "camera": {"width": 12, "height": 8, "outputs": ["rgb", "depth"]},
     "lidar_3d": {"n_rings": 4, "n_beams": 64},
 }
-EVERYTHING = [kind for kind in SENSORS.own if kind not in ("planar_velocity", "nearest_agent", "neighbours")]
+# A robot knows its own commands; the others it perceives truly.
+TRUE = ("last_action", "planar_velocity", "nearest_agent", "neighbours")
+EVERYTHING = [kind for kind in SENSORS.own if kind not in TRUE]
 # These have faults by themselves: whole counts, and slip.
 NATURAL = {"encoders", "odometry"}
 # Nothing moves here.
