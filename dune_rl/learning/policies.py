@@ -10,15 +10,12 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.envs import EnvBase
 
-from dune_rl.behaviours.registry import BEHAVIOURS
 from dune_rl.core.errors import ConfigError
-from dune_rl.env.agent_group import AgentGroup
-from dune_rl.env.simulation import VectorSimulation
 from dune_rl.learning.algorithm import Algorithm
+from dune_rl.learning.drivers import DRIVERS, driver_policies
 from dune_rl.learning.group_policy import GroupPolicy, Policy
 from dune_rl.learning.policy_spec import PolicySpec
 
-DRIVERS = ("mppi", "planner")
 _SPEED_AND_HEADING = 2
 # Of the top speed, at which bodies that cannot turn on the spot turn.
 _TURNING_SHARE = 0.5
@@ -159,41 +156,6 @@ class UniformRandom(TensorDictModuleBase):
         shape = (*observation.get(self._group).batch_size, len(self._low))
         share = torch.rand(shape, generator=self._generator)
         return observation.set((self._group, "action"), self._low + share * self._width)
-
-
-class DriverPolicy:
-    """Lets the behaviour `name` drive the agents of `group`, by the state of the environment's simulation.
-
-    It forgets an agent's past where its episode begins. Raises ConfigError where the behaviour cannot drive.
-    """
-
-    def __init__(self, name: str, simulation: VectorSimulation, group: AgentGroup, seed: int = 0) -> None:
-        settings = {"name": name, "seed": seed} if name == "mppi" else {"name": name}
-        self._behaviour = BEHAVIOURS.build(BEHAVIOURS.parse_settings(settings), group.num_rows)
-        self._simulation, self._group = simulation, group
-        group.bind(self._behaviour, name)
-
-    def __call__(self, observation: TensorDictBase) -> TensorDictBase:
-        group = self._group
-        state = self._simulation.state
-        now = state.groups[group.name]
-        begins = now.episode.steps == 0
-        if begins.any():
-            self._behaviour.reset(begins, now)
-        low, high = group.action_bounds
-        actions = self._behaviour.act(state, now).astype(low.dtype).clip(low, high)
-        shape = (self._simulation.num_scenes, group.count, group.action_size)
-        return observation.set((group.name, "action"), torch.from_numpy(actions.reshape(shape)))
-
-
-def driver_policies(name: str, env: EnvBase, seed: int) -> list[DriverPolicy]:
-    """The behaviour `name` for every group of `env`, which must run in this process."""
-    simulation = getattr(env, "simulation", None)
-    if not isinstance(simulation, VectorSimulation):
-        raise ConfigError(
-            f"{name} needs the simulation in its own process: take an environment without workers"
-        )
-    return [DriverPolicy(name, simulation, group, seed) for group in simulation.external]
 
 
 class WarmUp:

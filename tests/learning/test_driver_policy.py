@@ -5,8 +5,9 @@ import pytest
 from dune_rl.config.build import make_learning_env, make_simulation
 from dune_rl.config.compose import compose_environment
 from dune_rl.core.errors import ConfigError
+from dune_rl.learning.drivers import DRIVERS
 from dune_rl.learning.evaluation import evaluate
-from dune_rl.learning.policies import DRIVERS, built_in_policy
+from dune_rl.learning.policies import built_in_policy
 
 SHORT = "task.terminations.time_limit.max_steps=60"
 

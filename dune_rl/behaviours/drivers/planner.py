@@ -1,6 +1,6 @@
 """The driver `planner`: a global planner on the true map, and a dynamic-window follower."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
@@ -8,7 +8,7 @@ from pydantic import Field
 from dune_rl.behaviours.drivers.context import BoundBehaviour
 from dune_rl.behaviours.drivers.route_map import shared_route_map
 from dune_rl.behaviours.drivers.stuck_recovery import StuckRecovery
-from dune_rl.behaviours.drivers.window_loops import choose_commands
+from dune_rl.behaviours.drivers.window_loops import choose_commands, score_commands
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import POSE_COLUMNS, wrap_angle
 from dune_rl.state.state import GroupState, State
@@ -58,6 +58,8 @@ class Planner(BoundBehaviour):
         self._goals_w = np.full((num_rows, 2), np.nan)
         self._actors = ActorMotion(num_rows)
         self._recovery = StuckRecovery(num_rows)
+        # The cheapest of the actions that were last scored.
+        self._likely = np.zeros(num_rows, np.int64)
         self._grids = np.zeros((num_rows, 5))
         # Cost to go, waypoints and clearance of each row's world, row after row of its grid.
         self._fields, self._clearances = np.zeros((2, num_rows, 0), np.float32)
@@ -71,6 +73,34 @@ class Planner(BoundBehaviour):
 
     def act(self, state: State, group: GroupState) -> Array:
         """Actions (N, 2): speed [m/s] and relative heading [rad]."""
+        chosen = np.zeros((self._num_rows, 2))
+        choose_commands(*self._situation(state, group), chosen)
+        self._recovery.record_command(chosen[:, 0])
+        return np.column_stack([chosen[:, 0], self._heading(chosen[:, 1])])
+
+    def action_costs(self, state: State, group: GroupState, actions: Array, cap: float) -> Array:
+        """Costs (N, C) of `actions` (C, 2), as those of `act`, minus the least of each row, at most `cap`.
+
+        It is called in place of `act`, and followed by `record_actions`. The unit is a metre of level way.
+        """
+        vehicle = self.context.vehicle
+        most = vehicle.max_yaw_rate_radps
+        turns = np.clip(actions[:, 1] * vehicle.heading_gain_per_s, -most, most)
+        commands = np.column_stack([actions[:, 0], turns])
+        costs = np.zeros((self._num_rows, len(commands)))
+        score_commands(*self._situation(state, group), commands, self._likely, cap, costs)
+        self._likely = costs.argmin(axis=1)
+        return np.minimum(costs - costs.min(axis=1, keepdims=True), cap)
+
+    def record_actions(self, actions: Array) -> None:
+        """Record the actions (N, 2) that are executed, after `action_costs`."""
+        self._recovery.record_command(actions[:, 0])
+
+    def _heading(self, yaw_rate: Array) -> Array:
+        return np.clip(yaw_rate / self.context.vehicle.heading_gain_per_s, -np.pi, np.pi)
+
+    def _situation(self, state: State, group: GroupState) -> Any:
+        """What the follower's loops read; plans routes where they are due."""
         vehicle = self.context.vehicle
         motion, step_s = group.motion, group.episode.step_s
         begins = group.episode.steps == 0
@@ -95,15 +125,11 @@ class Planner(BoundBehaviour):
             vehicle.footprint_radius_m,
             self._margin_m,
         )
-        chosen = np.zeros((self._num_rows, 2))
-        choose_commands(
+        return (
             poses, twists, self._grids, self._fields, self._waypoints, self._clearances, actors,
             group.goal.position_w, limits, (_ACCELERATION_MPS2, _YAW_ACCELERATION_RADPS2),
-            self._recovery.recovering, chosen,
+            self._recovery.recovering,
         )  # fmt: skip
-        self._recovery.record_command(chosen[:, 0])
-        heading = np.clip(chosen[:, 1] / vehicle.heading_gain_per_s, -np.pi, np.pi)
-        return np.column_stack([chosen[:, 0], heading])
 
     def _plan(self, state: State, group: GroupState, anew: Flags) -> None:
         """Plan the routes of the rows in `anew` (N,) and of those whose goals are new, one after another."""

@@ -223,3 +223,41 @@ def choose_commands(
                     if cost < best:
                         best = cost
                         found[row, 0], found[row, 1] = speed, turn
+
+
+@compile_function
+def score_commands(
+    poses: Any, twists: Any, grids: Any, fields: Any, waypoints: Any, clearances: Any, actors: Any,
+    goals: Any, vehicle: Any, response: Any, recovering: Any, commands: Any, likely: Any, cap: float,
+    costs: Any,
+) -> None:  # fmt: skip
+    """Costs (N, C) of `commands` (C, 2: speed [m/s], yaw rate [rad/s]) in each row, as `choose_commands`.
+
+    A cost that is `cap` above the least is inf. `likely` (N,) are numbers of commands that may be cheap.
+    """
+    places = np.empty((STEPS, actors.shape[1], 2))
+    command = np.empty(3)
+    for row in range(len(poses)):
+        best = np.inf
+        predict_actors(actors[row], places)
+        maps = grids[row], fields[row], waypoints[row], clearances[row]
+        for order in range(-1, len(commands)):
+            number = likely[row] % len(commands) if order < 0 else order
+            if order == likely[row]:
+                continue
+            low = np.inf
+            command[0], command[1] = commands[number, 0], commands[number, 1]
+            if vehicle[3] > 0.0:
+                tightest = abs(command[0]) / vehicle[3]
+                command[1] = min(max(command[1], -tightest), tightest)
+            for then in range(2):
+                if then == 1 and command[1] == 0.0:
+                    continue
+                command[2] = 0.0 if then == 0 else command[1]
+                cost = _command_cost(
+                    poses[row], twists[row], command, maps, places, actors[row], goals[row], vehicle,
+                    response, recovering[row], min(best + cap, low),
+                )  # fmt: skip
+                low = min(low, cost)
+            costs[row, number] = low
+            best = min(best, low)

@@ -12,6 +12,7 @@ from torchrl.modules import ProbabilisticActor, TanhNormal
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.suggestions import advise
 from dune_rl.learning.networks.registry import ENCODERS, parse_encoder
+from dune_rl.learning.networks.settings import NetworkConf
 from dune_rl.learning.policy_spec import PackedObservation, PartSpec, PolicySpec
 
 _LEAST_RANGE_M = 1e-3
@@ -32,6 +33,18 @@ class Architecture:
     image_channels: tuple[int, ...] = (16, 32, 32)
     image_features: int = 64
     networks: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, conf: NetworkConf) -> "Architecture":
+        """The architecture that the settings of an algorithm describe."""
+        return cls(
+            conf.hidden,
+            conf.scan_channels,
+            conf.observation_clip,
+            conf.image_channels,
+            conf.image_features,
+            {part: encoder.model_dump(mode="json") for part, encoder in conf.networks.items()},
+        )
 
     def plain(self) -> dict[str, Any]:
         """Containers that `torch.load(weights_only=True)` reads."""

@@ -33,14 +33,7 @@ class Sac(Algorithm):
 
     def __init__(self, context: LearnerContext, conf: SacConf) -> None:
         self._conf = conf
-        self.architecture = Architecture(
-            conf.hidden,
-            conf.scan_channels,
-            conf.observation_clip,
-            conf.image_channels,
-            conf.image_features,
-            {part: encoder.model_dump(mode="json") for part, encoder in conf.networks.items()},
-        )
+        self.architecture = Architecture.of(conf)
         super().__init__(context)
         self._step = GradientStep(conf, context.spec, self.policy.network, context.device)
         self._codec = TransitionCodec(context.spec, conf.n_steps, conf.gamma)

@@ -1,15 +1,12 @@
 """Hyperparameters of soft actor-critic. Importing them loads neither PyTorch nor TorchRL."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Self
+from typing import Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, SerializeAsAny, model_validator
+from pydantic import Field, model_validator
 
 from dune_rl.core.settings import Settings
-from dune_rl.learning.networks.registry import EncoderConf, parse_encoder
-from dune_rl.learning.settings import LearningConf, Width
-
-EncoderSettings = Annotated[SerializeAsAny[EncoderConf], BeforeValidator(parse_encoder)]
+from dune_rl.learning.networks.settings import NetworkConf
 
 
 class ReplayConf(Settings):
@@ -19,7 +16,7 @@ class ReplayConf(Settings):
     storage: Literal["memory", "disk"] = Field("memory", description="disk: a memory map in the run's folder")
 
 
-class SacConf(LearningConf):
+class SacConf(NetworkConf):
     """Soft actor-critic; the defaults are those of the DUnE paper where it states them."""
 
     name: Literal["sac"] = "sac"
@@ -35,15 +32,6 @@ class SacConf(LearningConf):
     )
     updates_per_frame: float = Field(0.0625, gt=0, description="gradient updates for each frame collected")
     batch_size: int = Field(512, ge=1)
-    hidden: tuple[Width, ...] = Field((256, 256), min_length=1)
-    scan_channels: int = Field(8, ge=0, le=1024, description="of the convolutions round the scans; 0: none")
-    image_channels: tuple[Width, ...] = Field(
-        (16, 32, 32), min_length=1, description="of the convolutions over each image, if there are any"
-    )
-    image_features: int = Field(64, ge=1, le=4096, description="values that each image is reduced to")
-    networks: dict[str, EncoderSettings] = Field(
-        default_factory=dict, description="encoder of a part of the observation, by sensor, in place of these"
-    )
     gamma: float = Field(0.99, ge=0, lt=1)
     n_steps: int = Field(8, ge=1, le=64, description="of reward before the bootstrap; 1 is plain SAC")
     tau: float = Field(0.005, gt=0, le=0.5, description="share of the new weights in each target update")
@@ -52,7 +40,6 @@ class SacConf(LearningConf):
         None, description="nats, for actions scaled to [-1, 1]; null: minus the number of action components"
     )
     reward_scale: float = Field(1.0, gt=0, description="multiplies the reward in the loss, never in the logs")
-    observation_clip: float = Field(10.0, gt=0, description="bound on normalised observations")
     precision: Literal["auto", "float32", "bfloat16"] = Field(
         "auto", description="of the networks' products; auto: bfloat16 where the processor is faster at it"
     )
