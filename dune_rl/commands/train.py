@@ -183,6 +183,7 @@ def train(conf: Conf, resume: Path | None = None, words: Sequence[str] = ()) -> 
     reporter = BarReporter(console) if console.is_terminal else LineReporter(partial(print, flush=True))
     run_dir = Path(conf.run_dir)
     config = conf.model_copy(update={"resume": None}).model_dump(mode="json")
+    evaluated = conf.model_copy(update={"randomisation": conf.randomisation.with_new_worlds()})
     try:
         trainer = Trainer(
             partial(make_learning_env, conf),
@@ -199,6 +200,7 @@ def train(conf: Conf, resume: Path | None = None, words: Sequence[str] = ()) -> 
             make_pictures=EvaluationTracks,
             judged=conf.driven_group.name,
             action_repeat=conf.physics.action_repeat,
+            make_evaluation_env=partial(make_learning_env, evaluated),
         )
     except GroupMismatchError as error:
         owner = describe_owner(error.location, error.group, conf.path_of(error.group))

@@ -95,6 +95,7 @@ def make_simulation(
             prepare,
             plan,
             easiest=None if curriculum is None else curriculum.easiest,
+            num_scenes=num_scenes,
         ),
         num_scenes=num_scenes,
         seed=seed,

@@ -2,10 +2,11 @@
 
 from typing import Annotated, Literal, Self, get_args
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from dune_rl.config.schema import EnvConf
 from dune_rl.core.suggestions import closest
+from dune_rl.env.randomisation import RandomisationConf
 
 
 def _one_or_several(names: object) -> object:
@@ -110,6 +111,11 @@ class EvaluateConf(EnvConf):
     populations: Names = ()
     out: str | None = Field(None, min_length=1)
     overwrite: bool = False
+
+    @field_validator("randomisation")
+    @classmethod
+    def _draw_every_world(cls, value: RandomisationConf) -> RandomisationConf:
+        return value.with_new_worlds()
 
     @model_validator(mode="after")
     def _known_policies(self) -> Self:

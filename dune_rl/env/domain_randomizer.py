@@ -27,7 +27,8 @@ class DomainRandomizer:
     of the next worlds, and may build these in the background. `names` are the
     sampled properties, in the order of `Values`. The world seeds of a `plan`
     replace sampled ones. `easiest` are the values of properties at a difficulty
-    of 0, from which they rise or fall linearly to the drawn ones.
+    of 0, from which they rise or fall linearly to the drawn ones. Of `num_scenes`
+    scenes, each keeps its world for `randomisation.episodes_per_world` episodes.
     """
 
     def __init__(
@@ -39,11 +40,13 @@ class DomainRandomizer:
         prepare: Callable[[Sequence[Any]], None] | None = None,
         plan: EpisodePlan | None = None,
         easiest: Mapping[str, float] | None = None,
+        num_scenes: int = 1,
     ) -> None:
         self._easiest = dict(easiest or {})
         self._unvaried = EpisodeVariation(world_conf, weather)
         self._distributions = randomisation.distributions
         self._make_world, self._prepare = make_world, prepare
+        self._num_scenes, self._episodes_per_world = num_scenes, randomisation.episodes_per_world
         self._plan = plan if plan is not None and plan.sets_worlds else None
         planned = () if self._plan is None else (_WORLD_SEED,)
         self.names = tuple(dict.fromkeys((*planned, *self._distributions)))
@@ -87,30 +90,39 @@ class DomainRandomizer:
     def draw(self, seed: int, episode: int, attempt: int = 0, difficulty: float = 1.0) -> Values:
         """The values of an episode; a further `attempt` draws another world and leaves the rest alone."""
         values: list[float] = []
+        first = self._first_with_world_of(episode)
         for name in self.names:
             if self._plan is not None and name == _WORLD_SEED:
                 seed_of_world = self._plan.of(episode).world_seed
                 assert seed_of_world is not None
                 values.append(seed_of_world)
                 continue
-            again = (attempt,) if attempt and "world" in self._changes[name] else ()
-            rng = stream(seed, f"randomisation {_STREAMS.get(name, name)}", episode, *again)
+            is_of_world = "world" in self._changes[name]
+            again = (attempt,) if attempt and is_of_world else ()
+            stream_name = f"randomisation {_STREAMS.get(name, name)}"
+            rng = stream(seed, stream_name, first if is_of_world else episode, *again)
             value = self._distributions[name].draw(rng)
             if name in self._easiest and difficulty < 1.0:
                 value = self._easiest[name] + difficulty * (value - self._easiest[name])
             values.append(value)
         return tuple(values)
 
+    def _first_with_world_of(self, episode: int) -> int:
+        """The scene's first episode in the world of `episode`."""
+        return episode - episode // self._num_scenes % self._episodes_per_world * self._num_scenes
+
     def world(self, conf: Any) -> World:
         """The world of `conf`; raises WorldError if it cannot be built."""
         return self._make_world(conf)
 
     def prepare(self, seed: int, episodes: Sequence[int], difficulty: float = 1.0) -> None:
-        """Announce the next episodes, so that their worlds can be built in the background."""
+        """Announce the worlds after those of `episodes`, so that they can be built in the background."""
         if self.randomizes_worlds and self._prepare is not None:
+            step = self._episodes_per_world * self._num_scenes
+            following = (self._first_with_world_of(episode) + step for episode in episodes)
             self._prepare(
                 [
                     self.variation(self.draw(seed, episode, difficulty=difficulty)).world
-                    for episode in episodes
+                    for episode in following
                 ]
             )

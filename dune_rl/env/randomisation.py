@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Self
 
-from pydantic import ConfigDict, create_model, model_validator
+from pydantic import ConfigDict, Field, create_model, model_validator
 
 from dune_rl.core.errors import DuneError
 from dune_rl.core.registry import RegisteredPart, Registry
@@ -28,6 +28,8 @@ _OWN = (
     "wheel_friction",
     "action_latency_s",
 )
+# The one setting that is no property.
+_KEPT = "episodes_per_world"
 
 
 class RandomisedValue(Settings):
@@ -72,10 +74,13 @@ else:
 class RandomisationConf(_OwnProperties):
     """Distributions that are sampled for each episode; null properties keep the configured values.
 
-    The properties are those of `dune_rl.env.randomised_properties`, and registered ones.
+    The properties are those of `dune_rl.env.randomised_properties`, and registered ones. A scene keeps its
+    sampled world for `episodes_per_world` of its own episodes.
     """
 
     model_config = ConfigDict(extra="allow")
+
+    episodes_per_world: int = Field(1, ge=1, description="own episodes for which a scene keeps its world")
 
     @model_validator(mode="before")
     @classmethod
@@ -94,7 +99,12 @@ class RandomisationConf(_OwnProperties):
     @property
     def distributions(self) -> dict[str, Any]:
         """The distributions that are not null, by property name."""
-        return {name: distribution for name, distribution in self if distribution is not None}
+        drawn = (each for each in self if each[0] != _KEPT)
+        return {name: distribution for name, distribution in drawn if distribution is not None}
+
+    def with_new_worlds(self) -> Self:
+        """These settings with a world for each episode, so that no result depends on the number of scenes."""
+        return self.model_copy(update={_KEPT: 1})
 
     @model_validator(mode="after")
     def _within_limits(self) -> Self:
@@ -115,7 +125,7 @@ class RandomisationConf(_OwnProperties):
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Worker processes get the functions along.
-        parts = {name: _find(name) for name, _ in self}
+        parts = {name: _find(name) for name, _ in self if name != _KEPT}
         targets = {name: part.target for name, part in parts.items() if not part.is_own}
         return _restore, (targets, dict(self))
 

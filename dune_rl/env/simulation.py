@@ -67,11 +67,12 @@ class VectorSimulation:
 
     Scene i runs the episodes `first_episode + i`, `+ i + M`, `+ i + 2M` and so on. All random
     draws of an episode depend on (seed, episode id) alone, so simulations of the same seed start an episode
-    in the same state. A scene's episode ends when all agents of the groups with terminations are done, or
-    when physics diverges; where agents come and go, also when no external agent is left. `world` is the world
-    of all scenes, unless `randomizer` draws worlds. A `plan` has the starts and goals of episodes in place of
-    sampled ones; its world seeds are the randomizer's. With a `curriculum` an episode also depends on the
-    level at its start, and so on the outcomes of earlier episodes.
+    in the same state; worlds that are kept for several episodes also depend on M. A scene's episode ends when
+    all agents of the groups with terminations are done, or when physics diverges; where agents come and go,
+    also when no external agent is left. `world` is the world of all scenes, unless `randomizer` draws worlds.
+    A `plan` has the starts and goals of episodes in place of sampled ones; its world seeds are the
+    randomizer's. With a `curriculum` an episode also depends on the level at its start, and so on the
+    outcomes of earlier episodes.
     """
 
     def __init__(
@@ -197,8 +198,7 @@ class VectorSimulation:
             episode, difficulty = int(self.episodes[scene]), float(self.curriculum.difficulty[scene])
             draw = StartDraw(scene, self.seed, episode, difficulty=difficulty)
             self._starter.start(draw, self._request(scene, episode))
-        following = (self.episodes[mask] + self.num_scenes).tolist()
-        self.randomizer.prepare(self.seed, following, self.curriculum.level)
+        self.randomizer.prepare(self.seed, self.episodes[mask].tolist(), self.curriculum.level)
         for group in self.groups:
             group.read_start(scene_rows(mask, group.count), self.scenes.most_bodies)
         self._builder.begin_episodes(self.episodes)

@@ -60,7 +60,8 @@ class Trainer:
 
     Every group of `env.group_map` has its own learner, or acts by a frozen policy; `learning` has the
     algorithm and its settings. `make_env(num_scenes, seed)` must be picklable unless the collector is serial;
-    with `learning.curriculum` it also takes `curriculum`.
+    with `learning.curriculum` it also takes `curriculum`. Evaluations have the environment of
+    `make_evaluation_env`, None: the same.
     `config` is the resolved configuration as plain containers; it is stored with the weights. With a serial
     collector, a run that was stopped and resumed ends with the same weights as an uninterrupted one; with
     worker processes, a resumed run starts new episodes. TensorBoard lists `hyperparameters` beside the
@@ -88,6 +89,7 @@ class Trainer:
         make_pictures: Callable[[EnvBase, int], EvaluationPictures] | None = None,
         judged: str | None = None,
         action_repeat: int = 1,
+        make_evaluation_env: MakeEnv | None = None,
     ) -> None:
         source = find_checkpoint_file(resume, CHECKPOINT_FILE) if resume else None
         self._saved = read_checkpoint_file(source, "checkpoint") if source else None
@@ -105,7 +107,8 @@ class Trainer:
 
         evaluation = learning.evaluation
         evaluation_seed = seed + evaluation.seed_offset
-        env = make_env(min(evaluation.scenes, evaluation.episodes), evaluation_seed)
+        make_evaluation_env = make_evaluation_env or make_env
+        env = make_evaluation_env(min(evaluation.scenes, evaluation.episodes), evaluation_seed)
         torch.manual_seed(seed)
         np.random.seed(seed % 2**32)
         self._learners = build_learners(learning, env, total_frames, run_dir, torch.device(device))

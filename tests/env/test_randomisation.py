@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from randomised_scenes import BODIES, DARTS, FAMILIES, ISLANDS, drive, equal, make
 from scenes import slope_stage
-from simulations import environment_conf
+from simulations import environment_conf, state_of_group
 
 from dune_rl.config.build import build_world, make_simulation
 from dune_rl.config.compose import compose_environment
@@ -159,7 +159,7 @@ def test_each_property_has_a_stream_of_its_own() -> None:
 
 
 def test_every_property_is_a_setting_and_the_other_way_round() -> None:
-    assert list(RANDOMISATIONS.own) == list(RandomisationConf.model_fields)
+    assert [*RANDOMISATIONS.own, "episodes_per_world"] == list(RandomisationConf.model_fields)
 
 
 @pytest.mark.slow(all_but=["construction", "island"])
@@ -260,6 +260,40 @@ def test_the_next_worlds_are_named_while_the_present_ones_are_in_use() -> None:
     assert [len(confs) for confs in named] == [2, 2, 1]
     assert asked[2:] == named[1][1:]
     simulation.close()
+
+
+def test_a_scene_keeps_its_world_for_some_of_its_episodes() -> None:
+    announced: list[int] = []
+    drawn = {"world_seed": [0, 999], "friction": [0.5, 1.5], "episodes_per_world": 2}
+    conf = environment_conf("island", sensors={"enabled": ["goal"]}, randomisation=drawn)
+
+    def make_it() -> VectorSimulation:
+        return make_simulation(
+            conf, 2, 3, prepare=lambda confs: announced.extend(conf.seed for conf in confs)
+        )
+
+    simulation, other = make_it(), make_it()
+    seeds, frictions, engines, places = [], [], [], []
+    for _ in range(4):
+        simulation.reset()
+        seeds.append(simulation.randomized["world_seed"].astype(int).tolist())
+        frictions += simulation.randomized["friction"].tolist()
+        engines.append(simulation.scenes.built)
+        places.append(state_of_group(simulation).motion.position_w)
+    assert seeds[0] == seeds[1] != seeds[2] == seeds[3] and len({*seeds[0], *seeds[2]}) == 4
+    assert len(set(frictions)) == 8
+    assert [one is two for one, two in zip(engines[0], engines[1], strict=True)] == [True, True]
+    assert announced[:4] == seeds[2] * 2
+    # An episode by itself, and one that is restored, are in the worlds of the others.
+    other.reseed(3, 2)
+    other.reset()
+    assert other.randomized["world_seed"].tolist() == seeds[1]
+    assert other.randomized["friction"].tolist() == frictions[2:4]
+    assert np.array_equal(state_of_group(other).motion.position_w, places[1])
+    other.restore(simulation.save_state())
+    assert other.randomized["world_seed"].tolist() == seeds[3]
+    for each in (simulation, other):
+        each.close()
 
 
 @pytest.mark.slow

@@ -115,7 +115,9 @@ def scripted_simulation(
         make_scene=make_scene,
         physics=conf.physics,
         weather=conf.weather,
-        randomizer=DomainRandomizer(conf.world, conf.weather, conf.randomisation, build_world),
+        randomizer=DomainRandomizer(
+            conf.world, conf.weather, conf.randomisation, build_world, num_scenes=num_scenes
+        ),
         num_scenes=num_scenes,
         seed=seed,
     )
