@@ -1,7 +1,7 @@
 """The interface of a learning algorithm: the trainer calls one learner for each agent group."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,10 +10,14 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
+from torchrl.envs import EnvBase
 
 from dune_rl.learning.group_policy import GroupPolicy
 from dune_rl.learning.networks.policy import Architecture, make_policy_network
 from dune_rl.learning.policy_spec import PolicySpec
+
+# Of the number of scenes and a seed; with a curriculum, also of it, by its name.
+MakeEnv = Callable[..., EnvBase]
 
 
 @dataclass(frozen=True)
@@ -82,6 +86,13 @@ class Algorithm(ABC):
     def warmup_policy(self) -> TensorDictModuleBase | None:
         """The policy that acts in the first `warmup_frames`; None: uniformly random actions."""
         return None
+
+    def wrap_environment(self, make_env: MakeEnv, *, warms_up: bool) -> MakeEnv:
+        """What makes the environments that data are collected in: `make_env` and what the learner adds.
+
+        `warms_up` tells whether they are those of the first `warmup_frames`. The result must be picklable.
+        """
+        return make_env
 
     @classmethod
     def make_network(

@@ -3,7 +3,7 @@
 import os
 import signal
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from typing import Any
@@ -16,13 +16,11 @@ from torchrl.envs import EnvBase
 
 from dune_rl.core.errors import DuneWarning
 from dune_rl.core.seeding import stream
+from dune_rl.learning.algorithm import MakeEnv
 from dune_rl.learning.group_policy import JointPolicy
 from dune_rl.learning.population import OpponentDraws, Population, PopulationPolicy
 from dune_rl.learning.process import WorkerMonitor
 from dune_rl.learning.settings import CollectorConf
-
-# Of the number of scenes and a seed; with a curriculum, also of it, by its name.
-MakeEnv = Callable[..., EnvBase]
 
 
 def available_cores() -> int:

@@ -1,6 +1,7 @@
 """Scripted drivers, which read the simulation's state, as policies of agent groups."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -25,7 +26,7 @@ class BoundDriver:
 
     def __init__(self, name: str, simulation: VectorSimulation, group: AgentGroup, seed: int = 0) -> None:
         settings = {"name": name, "seed": seed} if name == "mppi" else {"name": name}
-        self.behaviour = BEHAVIOURS.build(BEHAVIOURS.parse_settings(settings), group.num_rows)
+        self.behaviour: Any = BEHAVIOURS.build(BEHAVIOURS.parse_settings(settings), group.num_rows)
         self._simulation, self._group = simulation, group
         self._is_new = True
         group.bind(self.behaviour, name)
@@ -45,6 +46,22 @@ class BoundDriver:
         low, high = self._group.action_bounds
         actions = self.behaviour.act(self._simulation.state, self._observe())
         return np.asarray(actions.astype(low.dtype).clip(low, high))
+
+    @property
+    def has_costs(self) -> bool:
+        """Whether the driver has costs of given actions; they are asked for in place of `act`."""
+        return hasattr(self.behaviour, "action_costs")
+
+    def costs(self, actions: Array, cap: float) -> Array:
+        """Costs (N, C) of `actions` (C, A) above the best one's, at most `cap`; `record` must follow."""
+        found: Array = self.behaviour.action_costs(self._simulation.state, self._observe(), actions, cap)
+        return found
+
+    def record(self, actions: Array) -> None:
+        """Tell the driver the actions (N, A) that are executed, which may be another's."""
+        record = getattr(self.behaviour, "record_actions", None)
+        if record is not None:
+            record(actions)
 
 
 class DriverPolicy:

@@ -8,7 +8,10 @@ from dune_rl.core.registry import Registry
 from dune_rl.learning.settings import LearningConf
 
 # Our algorithms' settings, which can be imported without PyTorch.
-_OWN_SETTINGS = {"sac": "dune_rl.learning.sac.settings:SacConf"}
+_OWN_SETTINGS = {
+    "imitation": "dune_rl.learning.imitation.settings:ImitationConf",
+    "sac": "dune_rl.learning.sac.settings:SacConf",
+}
 
 
 class AlgorithmRegistry(Registry[Any]):
@@ -24,7 +27,10 @@ class AlgorithmRegistry(Registry[Any]):
 ALGORITHMS = AlgorithmRegistry(
     "algorithm",
     "dune_rl.learning.registry:ALGORITHMS",
-    own={"sac": "dune_rl.learning.sac.learner:Sac"},
+    own={
+        "imitation": "dune_rl.learning.imitation.learner:Imitation",
+        "sac": "dune_rl.learning.sac.learner:Sac",
+    },
     base=LearningConf,
     product=object,
     form="a class derived from dune_rl.learning.algorithm.Algorithm",

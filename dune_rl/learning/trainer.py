@@ -15,8 +15,9 @@ from torchrl.envs import EnvBase
 
 from dune_rl.core.errors import DuneWarning, TrainingError
 from dune_rl.env.curriculum import CurriculumConf
+from dune_rl.learning.algorithm import MakeEnv
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE, find_checkpoint_file, read_checkpoint_file
-from dune_rl.learning.collector import MakeEnv, TransitionCollector, learner_threads
+from dune_rl.learning.collector import TransitionCollector, learner_threads
 from dune_rl.learning.evaluation import EvaluationPictures, PeriodicEvaluation
 from dune_rl.learning.group_policy import select_group
 from dune_rl.learning.learners import build_learners, restore_learners, start_learners
@@ -252,6 +253,8 @@ class Trainer:
         make_env = self._make_env
         if self._conf.curriculum is not None:
             make_env = partial(make_env, curriculum=self._curriculum_now(self._conf.curriculum))
+        for group, learner in self._learners.items():
+            make_env = learner.wrap_environment(make_env, warms_up=group in first)
         # New networks and first resets must not advance the random state: a resumed run repeats them.
         before = random_state() if self._saved is None else self._saved["random"]
         collector = TransitionCollector(

@@ -74,7 +74,8 @@ class Planner(BoundBehaviour):
     def act(self, state: State, group: GroupState) -> Array:
         """Actions (N, 2): speed [m/s] and relative heading [rad]."""
         chosen = np.zeros((self._num_rows, 2))
-        choose_commands(*self._situation(state, group), chosen)
+        arguments = (*self._situation(state, group), chosen)
+        choose_commands(*arguments)
         self._recovery.record_command(chosen[:, 0])
         return np.column_stack([chosen[:, 0], self._heading(chosen[:, 1])])
 
@@ -88,7 +89,8 @@ class Planner(BoundBehaviour):
         turns = np.clip(actions[:, 1] * vehicle.heading_gain_per_s, -most, most)
         commands = np.column_stack([actions[:, 0], turns])
         costs = np.zeros((self._num_rows, len(commands)))
-        score_commands(*self._situation(state, group), commands, self._likely, cap, costs)
+        arguments = (*self._situation(state, group), commands, self._likely, cap, costs)
+        score_commands(*arguments)
         self._likely = costs.argmin(axis=1)
         return np.minimum(costs - costs.min(axis=1, keepdims=True), cap)
 

@@ -82,7 +82,7 @@ class EpisodeMetrics(Transform):
         env = self.container
         if env is None:
             raise RuntimeError("EpisodeMetrics needs an environment: TransformedEnv(env, EpisodeMetrics())")
-        return _simulation_in(env)
+        return simulation_in(env)
 
     def _find(self) -> list[tuple[AgentGroup, MetricSet | None]]:
         """The groups with what is measured of them; None stands for the metrics of the settings."""
@@ -172,7 +172,7 @@ def _choose(simulation: VectorSimulation, names: Sequence[str]) -> list[AgentGro
     return [external[name] for name in names]
 
 
-def _simulation_in(env: EnvBase) -> VectorSimulation:
+def simulation_in(env: EnvBase) -> VectorSimulation:
     """The simulation inside an environment, however wrapped; raises TypeError if there is none."""
     found: Any = env
     while found is not None:

@@ -2,8 +2,9 @@
 
 from typing import Annotated
 
-from pydantic import BeforeValidator, Field, SerializeAsAny
+from pydantic import BeforeValidator, Field, SerializeAsAny, field_validator
 
+from dune_rl.core.settings import Settings
 from dune_rl.learning.networks.registry import EncoderConf, parse_encoder
 from dune_rl.learning.settings import LearningConf, Width
 
@@ -23,3 +24,19 @@ class NetworkConf(LearningConf):
         default_factory=dict, description="encoder of a part of the observation, by sensor, in place of these"
     )
     observation_clip: float = Field(10.0, gt=0, description="bound on normalised observations")
+
+
+class CommandGridConf(Settings):
+    """Grid of commands: every speed with every relative heading, which are closer together near 0."""
+
+    speeds: int = Field(8, ge=1, le=64, description="forward speeds beside 0, evenly spaced")
+    reverse_speeds: int = Field(4, ge=0, le=64, description="evenly spaced, where the body can reverse")
+    headings: int = Field(15, ge=3, le=65, description="an odd number, as 0 is one of them")
+    max_heading_rad: float = Field(1.0, gt=0.0, le=3.15, description="largest relative heading [rad]")
+
+    @field_validator("headings")
+    @classmethod
+    def _odd(cls, value: int) -> int:
+        if value % 2 == 0:
+            raise ValueError(f"must be odd, as the heading 0 is one of them (got {value})")
+        return value

@@ -9,8 +9,6 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from dune_rl.core.errors import CheckpointError
-from dune_rl.core.files import write_atomically
 from dune_rl.learning.algorithm import Algorithm, LearnerContext
 from dune_rl.learning.group_policy import agent_sequences
 from dune_rl.learning.networks.policy import Architecture
@@ -115,15 +113,7 @@ class Sac(Algorithm):
 
     def save_experience(self, path: Path) -> dict[str, Any] | None:
         """Write the replay buffer to `path`.npy; raises CheckpointError where that fails."""
-        file = path.with_name(f"{path.name}.npy")
-        try:
-            with write_atomically(file) as temporary:
-                return {"file": file.name, **self._replay.save(temporary)}
-        except OSError as error:
-            raise CheckpointError(
-                f"{file} cannot be written: {error.strerror or error}.\n"
-                "Free some space, or set learning.checkpoint.replay=false; the last save is intact."
-            ) from error
+        return self._replay.save_beside(path)
 
     def load_experience(self, folder: Path, saved: Mapping[str, Any]) -> None:
         """Read the replay buffer; raises CheckpointError if the file is missing or does not fit."""

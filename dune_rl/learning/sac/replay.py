@@ -5,6 +5,7 @@ import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,6 +15,7 @@ from torchrl import logger
 from torchrl.data import LazyMemmapStorage, LazyTensorStorage, ReplayBuffer
 
 from dune_rl.core.errors import CheckpointError, ConfigError
+from dune_rl.core.files import write_atomically
 from dune_rl.learning.networks.policy import FEATURES
 from dune_rl.learning.policy_spec import PackedObservation, PolicySpec
 from dune_rl.learning.sac.settings import ReplayConf
@@ -100,6 +102,18 @@ class Replay:
             file.flush()
             os.fsync(file.fileno())
         return {"size": size, "cursor": int(self._buffer.writer.state_dict()["_cursor"])}
+
+    def save_beside(self, path: Path) -> dict[str, Any]:
+        """Write the rows to `path`.npy, atomically; raises CheckpointError where that fails."""
+        file = path.with_name(f"{path.name}.npy")
+        try:
+            with write_atomically(file) as temporary:
+                return {"file": file.name, **self.save(temporary)}
+        except OSError as error:
+            raise CheckpointError(
+                f"{file} cannot be written: {error.strerror or error}.\n"
+                "Free some space, or set learning.checkpoint.replay=false; the last save is intact."
+            ) from error
 
     def load(self, path: Path, numbers: Mapping[str, int]) -> None:
         """The inverse of `save`, on an empty buffer; raises CheckpointError if the file does not fit."""

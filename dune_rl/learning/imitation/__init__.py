@@ -1,0 +1,1 @@
+"""Imitation of a driver, by its costs of all commands (DAgger)."""

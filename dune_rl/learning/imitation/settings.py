@@ -1,0 +1,46 @@
+"""Settings of imitation. Importing them loads neither PyTorch nor TorchRL."""
+
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from dune_rl.learning.networks.settings import CommandGridConf, NetworkConf
+from dune_rl.learning.sac.settings import ReplayConf
+
+
+class ImitationConf(NetworkConf):
+    """Imitation of a driver that labels what the learning policy meets (DAgger: Ross et al., 2011)."""
+
+    name: Literal["imitation"] = "imitation"
+    teacher: str = Field("planner", min_length=1, description="driver whose costs, or actions, are learned")
+    commands: CommandGridConf = CommandGridConf()
+    learning_rate: float = Field(1e-3, gt=0, description="at frame 0")
+    final_learning_rate: float = Field(1e-4, gt=0, description="at total_frames, reached linearly")
+    learning_starts: int = Field(
+        40_000, ge=0, description="frames before the first update: the teacher drives"
+    )
+    teacher_share: float = Field(
+        0.1, ge=0, le=1, description="of later episodes, in which the teacher drives"
+    )
+    noise_share: float = Field(
+        0.2,
+        ge=0,
+        le=1,
+        description="of episodes with bursts of random actions; twice as many of the teacher's",
+    )
+    updates_per_frame: float = Field(0.02, gt=0, description="gradient updates for each frame collected")
+    batch_size: int = Field(1024, ge=1)
+    max_cost: float = Field(
+        8.0, gt=0, description="of a command above the best one's, in metres of level way"
+    )
+    temperature: float = Field(0.1, gt=0, description="of the costs, where they make probabilities")
+    replay: ReplayConf = ReplayConf()
+
+    @model_validator(mode="after")
+    def _replay_holds_a_batch(self) -> Self:
+        if self.replay.capacity < self.batch_size:
+            raise ValueError(
+                f"replay.capacity must be at least batch_size "
+                f"(got {self.replay.capacity} and {self.batch_size})"
+            )
+        return self

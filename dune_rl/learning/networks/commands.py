@@ -1,0 +1,64 @@
+"""Networks that choose one of a grid of commands, by the predicted cost of each."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+from tensordict.nn import TensorDictModule, TensorDictSequential
+from torch import Tensor, nn
+
+from dune_rl.core.errors import ConfigError
+from dune_rl.learning.networks.policy import FEATURES, Architecture, Features, perceptron
+from dune_rl.learning.networks.settings import CommandGridConf
+from dune_rl.learning.policy_spec import PolicySpec
+
+_SPEED_AND_HEADING = 2
+
+
+def command_grid(spec: PolicySpec, conf: CommandGridConf) -> Tensor:
+    """The commands (C, 2): speed [m/s] and relative heading [rad]; raises ConfigError for other actions."""
+    if spec.action_size != _SPEED_AND_HEADING:
+        raise ConfigError(
+            f"a grid of commands needs an action of speed and heading, and this one has {spec.action_size} "
+            "components; choose another robot.action, or another algorithm"
+        )
+    forward = torch.linspace(0.0, spec.high[0], conf.speeds + 1)
+    backward = torch.linspace(spec.low[0], 0.0, conf.reverse_speeds + 1)[:-1]
+    speeds = torch.cat([backward[backward < 0.0], forward])
+    share = torch.linspace(-1.0, 1.0, conf.headings)
+    headings = min(conf.max_heading_rad, spec.high[1]) * share * share.abs()
+    return torch.cartesian_prod(speeds, headings)
+
+
+class CommandHead(nn.Module):
+    """Logits and costs (..., C) of the commands, and the action (..., 2): the command of the least cost."""
+
+    commands: Tensor
+
+    def __init__(self, commands: Tensor, features: int, hidden: Sequence[int]) -> None:
+        super().__init__()
+        self.body = perceptron(features, hidden, 2 * len(commands))
+        self.register_buffer("commands", commands)
+
+    def forward(self, features: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """In float32 also under autocast."""
+        logits, costs = self.body(features).float().chunk(2, -1)
+        return logits, costs, self.commands[costs.argmin(-1)]
+
+
+def make_command_network(
+    spec: PolicySpec, settings: Mapping[str, Any], device: torch.device | str = "cpu"
+) -> TensorDictSequential:
+    """From the observation's parts to "logits", "costs" and "action".
+
+    `settings` are those of `Architecture.plain`, with the grid's under "commands".
+    """
+    settings = dict(settings)
+    commands = command_grid(spec, CommandGridConf(**settings.pop("commands")))
+    architecture = Architecture.from_plain(settings)
+    features = Features(spec, architecture)
+    head = CommandHead(commands, features.size, architecture.hidden)
+    return TensorDictSequential(
+        TensorDictModule(features, in_keys=spec.keys, out_keys=[FEATURES]),
+        TensorDictModule(head, in_keys=[FEATURES], out_keys=["logits", "costs", "action"]),
+    ).to(device)
