@@ -205,5 +205,6 @@ def _context(group: AgentGroup, neighbours: Sequence[MovingMesh], scenes: SceneM
         num_rows=len(scenes.worlds) * group.count,
         step_s=scenes.conf.control_step_s,
         action_size=group.action_size,
+        extent=scenes.extent,
         worlds_differ=scenes.randomizer.randomizes_worlds,
     )

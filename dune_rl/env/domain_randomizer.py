@@ -43,6 +43,7 @@ class DomainRandomizer:
         num_scenes: int = 1,
     ) -> None:
         self._easiest = dict(easiest or {})
+        self.common_extent = None if world_conf is None else world_conf.common_extent
         self._unvaried = EpisodeVariation(world_conf, weather)
         self._distributions = randomisation.distributions
         self._make_world, self._prepare = make_world, prepare

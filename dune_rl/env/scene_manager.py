@@ -36,7 +36,8 @@ class SceneManager:
 
     All scenes start with `world`. If the randomizer draws worlds, a scene has no physics until it enters its
     first one. `worlds` has the present worlds of all scenes; `values` (M, n) are the sampled values of the
-    present episodes, in the order of `randomizer.names`.
+    present episodes, in the order of `randomizer.names`. `extent` is the rectangle (xmin, xmax, ymin, ymax)
+    [m] that holds the worlds of all episodes, by which readings are bounded.
     """
 
     def __init__(
@@ -51,6 +52,7 @@ class SceneManager:
         measures_work: bool = False,
     ) -> None:
         self.randomizer, self.conf = randomizer, physics
+        self.extent = randomizer.common_extent or world.extent
         self.worlds = BatchedWorlds([(world, weather)] * num_scenes)
         self.values = np.zeros((num_scenes, len(randomizer.names)))
         self.most_bodies = 0
@@ -132,13 +134,21 @@ class SceneManager:
         # Another scene may have this world, which takes long to build.
         known = (self.worlds.worlds[scene] for scene, other in enumerate(self._confs) if other == conf)
         world = next(known, None) or self.randomizer.world(conf)
-        if world.extent != self._world.extent:
-            raise ValueError(
-                f"the worlds of {world.name!r} differ in extent ({world.extent} and {self._world.extent}), "
-                "but observations need the same bounds in all of them"
-            )
+        self._check_extent(world)
         check_room(world)
         return world
+
+    def _check_extent(self, world: World) -> None:
+        if self.randomizer.common_extent is None:
+            if world.extent != self._world.extent:
+                raise ValueError(
+                    f"the worlds of {world.name!r} differ in extent ({world.extent} and "
+                    f"{self._world.extent}), but observations need the same bounds in all of them"
+                )
+            return
+        (xmin, xmax, ymin, ymax), (left, right, low, high) = self.extent, world.extent
+        if left < xmin or right > xmax or low < ymin or high > ymax:
+            raise WorldError(f"the world {world.name!r} covers {world.extent}: set world.size_m to hold it")
 
     def used_worlds(self) -> set[World]:
         """The present worlds of the scenes, and the first one."""

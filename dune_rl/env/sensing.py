@@ -18,7 +18,7 @@ from dune_rl.sensors.context import SensorContext
 from dune_rl.state.sensor_carrier import SensorCarrier
 from dune_rl.worlds.appearance import bake_in_weather, beam_surface, with_own_sun
 from dune_rl.worlds.batched_worlds import BatchedWorlds, WorldAppearance
-from dune_rl.worlds.world import World
+from dune_rl.worlds.world import Rectangle, World
 
 # Over the highest and under the lowest solid point, where a body can still be.
 _MARGIN_M = 1.0
@@ -32,6 +32,7 @@ def sensor_context(
     num_rows: int,
     step_s: float,
     action_size: int = 0,
+    extent: Rectangle | None = None,
     worlds_differ: bool = False,
 ) -> SensorContext:
     """What the sensors of a group with `num_rows` agents see of `worlds`.
@@ -42,6 +43,7 @@ def sensor_context(
     """
     # All worlds have the extent of the first.
     world, weather = worlds.appearances[0].world, worlds.appearances[0].weather
+    extent = world.extent if extent is None else extent
     return SensorContext(
         num_rows=num_rows,
         step_s=step_s,
@@ -51,8 +53,8 @@ def sensor_context(
         surfaces=BatchedBeamSurfaces(worlds.worlds.map(beam_surface)),
         meshes=meshes,
         terrain=BatchedHeightFields(worlds.worlds.map(_terrain)),
-        extent=world.extent,
-        heights=_height_limits(world) if worlds_differ else _heights(world),
+        extent=extent,
+        heights=_height_limits(extent) if worlds_differ else _heights(world),
         make_cameras=partial(_cameras, worlds, meshes),
         air=_beam_air(worlds, weather, worlds_differ),
     )
@@ -79,9 +81,9 @@ def _heights(world: World) -> tuple[float, float]:
     return float(heights.min()) - _MARGIN_M, float(heights.max()) + _MARGIN_M
 
 
-def _height_limits(world: World) -> tuple[float, float]:
-    """Heights [m] between which a body can be in any world as large as `world`, by its size alone."""
-    xmin, xmax, ymin, ymax = world.extent
+def _height_limits(extent: Rectangle) -> tuple[float, float]:
+    """Heights [m] between which a body can be in any world of this extent."""
+    xmin, xmax, ymin, ymax = extent
     reach = float(np.hypot(xmax - xmin, ymax - ymin)) / 2
     return -reach, reach
 

@@ -15,6 +15,9 @@ from dune_rl.sensors.sensor import MOUNT, PI32, Mount, VectorSensor, mount_posit
 from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.state import GroupState, State
 
+# Index of the yaw in a reading.
+_YAW = 8
+
 
 class ImuConf(SensorSettings):
     """Mount and ranges; readings beyond a range are clipped, as the part itself does."""
@@ -72,6 +75,29 @@ class ImuSensor(VectorSensor):
             reading,
         )
         self._reading = reading
+
+
+class Imu6AxisConf(SensorSettings):
+    """An inertial measurement unit without a compass has nothing to set: its readings are those of `imu`."""
+
+    sensor: Literal["imu_6axis"] = "imu_6axis"
+    realism: None = Field(None, description="none of its own: that of the sensor imu")
+
+
+class Imu6Axis(VectorSensor):
+    """The reading `name`, (N, 8): specific force [m/s²], angular velocity [rad/s], roll and pitch [rad].
+
+    It is the reading of the sensor imu without the yaw, by which policies would learn where north is.
+    """
+
+    def __init__(self, name: str, context: SensorContext, conf: Imu6AxisConf) -> None:
+        limits = context.settings_of("imu")
+        high = np.repeat([limits.acceleration_range_mps2, limits.angular_range_radps, PI32], 3)[:_YAW]
+        super().__init__(name, context.num_rows, -high, high)
+        self._imu = context.reading_of("imu")
+
+    def measure(self, now: GroupState, state: State) -> None:
+        self._store(self._imu()[:, :_YAW])
 
 
 @compile_function

@@ -33,11 +33,22 @@ class SpawnConf(Settings):
         default=None, gt=0.0, le=100.0, description="least width of ways to goals; null: the footprint's"
     )
     min_goal_distance_m: float = Field(default=2.0, ge=0.0, le=1000.0)
+    max_goal_distance_m: float | None = Field(
+        default=None, gt=0.0, description="from start to goal where the region has such goals; null: any"
+    )
+    anywhere_share: float = Field(
+        default=0.0, ge=0.0, le=1.0, description="of episodes with starts and goals anywhere in the world"
+    )
     robots_apart_m: float = Field(default=0.5, ge=0.0, le=100.0, description="room between footprints")
     max_water_m: float = Field(default=0.1, ge=0.0, le=100.0, description="deepest water at starts and goals")
 
     @model_validator(mode="after")
-    def _region_has_an_area(self) -> "SpawnConf":
+    def _has_room(self) -> "SpawnConf":
+        if self.max_goal_distance_m is not None and self.max_goal_distance_m <= self.min_goal_distance_m:
+            raise ValueError(
+                f"max_goal_distance_m={self.max_goal_distance_m:g} must be above "
+                f"min_goal_distance_m={self.min_goal_distance_m:g}"
+            )
         if not isinstance(self.region, str):
             xmin, xmax, ymin, ymax = self.region
             if xmin >= xmax or ymin >= ymax:
@@ -106,7 +117,7 @@ class Spawner:
         self._max_slope = np.deg2rad(conf.max_slope_deg)
         self.region: Rectangle = self._resolve_region()
         self._points_by_radius: dict[float, Array] = {}
-        self._most_goal_distance_m = np.inf
+        self._most_goal_distance_m = np.inf if conf.max_goal_distance_m is None else conf.max_goal_distance_m
         # Whether some of the region is too deep below water, so that points must be looked at one by one.
         self._is_wet = False
         passage = (
@@ -213,9 +224,9 @@ class Spawner:
         return np.delete(self.cells, near, axis=0)
 
     @cached_property
-    def _diameter_m(self) -> float:
-        """The diagonal of the rectangle round all cells [m]."""
-        return float(np.hypot(*np.ptp(self.cells, axis=0)))
+    def _farthest_m(self) -> float:
+        """The largest distance of a goal, at most the diagonal of the rectangle round all cells [m]."""
+        return min(self._most_goal_distance_m, float(np.hypot(*np.ptp(self.cells, axis=0))))
 
     def eased(self, difficulty: float) -> "Spawner":
         """The same with goals nearer to starts; `difficulty` in [0, 1], of which 1 changes nothing.
@@ -226,7 +237,7 @@ class Spawner:
             return self
         least = self._conf.min_goal_distance_m + 2 * self.free_space.cell_m
         eased = copy(self)
-        eased._most_goal_distance_m = least + difficulty * max(0.0, self._diameter_m - least)
+        eased._most_goal_distance_m = least + difficulty * max(0.0, self._farthest_m - least)
         return eased
 
     def sample(

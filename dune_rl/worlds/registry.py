@@ -17,6 +17,7 @@ WORLDS: Registry[World] = Registry(
         "rubicon": "dune_rl.worlds.rubicon:build_rubicon",
         "island": "dune_rl.worlds.island:build_island",
         "obstacle_course": "dune_rl.worlds.obstacle_course:build_obstacle_course",
+        "mixed": "dune_rl.worlds.mixed:build_mixed",
         "mesh": "dune_rl.worlds.importing.mesh_world:build_mesh",
         "heightmap": "dune_rl.worlds.importing.heightmap_world:build_heightmap",
         "sdf": "dune_rl.worlds.importing.sdf.build:build_sdf",

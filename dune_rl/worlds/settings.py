@@ -19,11 +19,23 @@ class WorldSettings(Settings):
     disk_cached: ClassVar[Literal["world", "appearance", "nothing"]] = "nothing"
     name: str
 
+    @property
+    def common_extent(self) -> tuple[float, float, float, float] | None:
+        """Rectangle (xmin, xmax, ymin, ymax) [m] that holds the worlds of all seeds, if these differ in size.
+
+        None: all are as large as any of them.
+        """
+        return None
+
+    def drawn(self) -> "WorldSettings":
+        """The settings of the world that these settings choose: these, unless they are of a mixture."""
+        return self
+
 
 class SeededConf(WorldSettings):
     """Seed of a world's terrain and props; `layout_seed` replaces it for the props."""
 
-    disk_cached = "world"
+    disk_cached: ClassVar[Literal["world", "appearance", "nothing"]] = "world"
     seed: int = Field(default=0, ge=0, lt=2**32)
     layout_seed: int | None = Field(
         default=None, ge=0, lt=2**32, description="seed of the props' layout alone; null: the seed"

@@ -34,26 +34,27 @@ class Spawners:
         self._conf, self.radius_m, self._worlds = conf, radius_m, worlds
         self._is_passable, self._body, self._whose = is_passable, body or SpawnedBody(), whose
         # Weak references would not work, because a spawner refers to its world.
-        self._by_world: dict[World, Spawner] = {}
+        self._by_world: dict[tuple[World, bool], Spawner] = {}
 
-    def of(self, world: World) -> Spawner:
-        """The spawner of a world; raises `WorldError` if the world has no room."""
-        if world not in self._by_world:
+    def of(self, world: World, *, anywhere: bool = False) -> Spawner:
+        """The spawner of a world's region, or of all of it; raises `WorldError` if there is no room."""
+        if (world, anywhere) not in self._by_world:
+            conf = self._conf.model_copy(update={"region": "anywhere"}) if anywhere else self._conf
             try:
-                self._by_world[world] = Spawner(
-                    world, self._conf, self.radius_m, self._is_passable, self._body
+                self._by_world[world, anywhere] = Spawner(
+                    world, conf, self.radius_m, self._is_passable, self._body
                 )
             except WorldError as error:
                 raise WorldError(f"{self._whose}{error}") from None
-        return self._by_world[world]
+        return self._by_world[world, anywhere]
 
-    def of_scene(self, scene: int) -> Spawner:
-        """The spawner of a scene's present world."""
-        return self.of(self._worlds[scene])
+    def of_scene(self, scene: int, *, anywhere: bool = False) -> Spawner:
+        """As `of`, of a scene's present world."""
+        return self.of(self._worlds[scene], anywhere=anywhere)
 
     def keep(self, worlds: Collection[World]) -> None:
         """Drop the spawners of all other worlds."""
-        self._by_world = {world: spawner for world, spawner in self._by_world.items() if world in worlds}
+        self._by_world = {key: spawner for key, spawner in self._by_world.items() if key[0] in worlds}
 
 
 @dataclass(frozen=True)
@@ -95,6 +96,7 @@ class RegionStarts(StartSource):
         self.goals_w = np.zeros((rows, 2))
         self._draws: list[np.random.Generator | None] = [None] * rows
         self._difficulty = np.ones(len(context.worlds))
+        self._anywhere = np.zeros(len(context.worlds), bool)
 
     # -- drawing ----------------------------------------------------------------------------------
 
@@ -125,7 +127,8 @@ class RegionStarts(StartSource):
 
     def _spawner(self, scene: int) -> Spawner:
         """The spawner of a scene's world, for the difficulty of its episode."""
-        return self._spawners.of_scene(scene).eased(float(self._difficulty[scene]))
+        spawner = self._spawners.of_scene(scene, anywhere=bool(self._anywhere[scene]))
+        return spawner.eased(float(self._difficulty[scene]))
 
     def _stream(self, draw: StartDraw, agent: int) -> np.random.Generator:
         again = (draw.attempt,) if draw.attempt else ()
@@ -136,6 +139,8 @@ class RegionStarts(StartSource):
     def prepare(self, world: World, seed: int) -> None:
         """Find the free space of `world`; raises `WorldError` if there is no room."""
         self._spawners.of(world)
+        if self.conf.anywhere_share:
+            self._spawners.of(world, anywhere=True)
 
     def keep(self, worlds: Collection[World]) -> None:
         """Drop the free space of all other worlds."""
@@ -146,6 +151,9 @@ class RegionStarts(StartSource):
     def place(self, draw: StartDraw, agents: Sequence[int], taken: TakenPlaces, asked: Asked) -> Array:
         poses, scene = np.zeros((len(agents), 4)), draw.scene
         self._difficulty[scene] = draw.difficulty
+        if self.conf.anywhere_share:
+            share = stream(draw.seed, f"{self._context.streams[0]} anywhere", draw.episode).random()
+            self._anywhere[scene] = share < self.conf.anywhere_share
         for index, agent in enumerate(agents):
             row = scene * self._count + agent
             request = asked.get(agent, AgentRequest())

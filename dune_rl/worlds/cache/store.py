@@ -56,6 +56,7 @@ class WorldStore:
 
     def get(self, conf: WorldSettings) -> World:
         """The world of `conf`, read from the cache or built; warns and raises as building it does."""
+        conf = conf.drawn()
         if self.cache is None or conf.disk_cached == "nothing":
             return build_uncached(conf)
         key = world_key(conf)
@@ -71,7 +72,8 @@ class WorldStore:
         With `with_appearance`, it also computes what cameras need. Returns at once. `get` does not wait for
         the process: both build the same bytes, so it does not matter which of them writes the entry last.
         """
-        missing = [conf for conf in confs if not self.is_cached(conf, with_appearance=with_appearance)]
+        drawn = [conf.drawn() for conf in confs]
+        missing = [conf for conf in drawn if not self.is_cached(conf, with_appearance=with_appearance)]
         if missing and self._builder is not None:
             self._builder.submit(missing, with_appearance)
 

@@ -1,0 +1,75 @@
+"""Heights of what fans of downward rays meet ahead of a robot: the ground as a depth camera sees it."""
+
+from typing import ClassVar, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from dune_rl.geometry.arrays import Floats
+from dune_rl.sensors.beams import Beams, Elevation, FieldOfView, LargestRange, check_elevations, fan
+from dune_rl.sensors.context import SensorContext
+from dune_rl.sensors.realism.noise import NoiseConf
+from dune_rl.sensors.realism.pipeline import ReadingRealismConf
+from dune_rl.sensors.sensor import MOUNT, Mount, VectorSensor
+from dune_rl.sensors.settings import SensorSettings
+from dune_rl.state.state import GroupState, State
+
+
+class GroundProfileConf(SensorSettings):
+    """Columns side by side over `fov_deg`, each a fan of `rows` rays between two elevations.
+
+    From a mount 0.33 m over level ground, the rays of the default elevations end on it 0.5 to 2.2 m ahead.
+    """
+
+    from_carrier: ClassVar = {"mount_b": "scanner_b", "standing_height_m": "standing_height_m"}
+    # An estimate.
+    default_realism: ClassVar = ReadingRealismConf(each=NoiseConf(noise=0.02))
+
+    sensor: Literal["ground_profile"] = "ground_profile"
+    columns: int = Field(15, ge=1, le=256, description="bearings of rays")
+    rows: int = Field(6, ge=1, le=256, description="rays of a fan")
+    fov_deg: FieldOfView = 110.0
+    lowest_elevation_deg: Elevation = Field(-34.0, description="of a fan [deg]")
+    highest_elevation_deg: Elevation = Field(-8.5, description="of a fan [deg]")
+    range_m: LargestRange = 4.0
+    limit_m: float = Field(0.5, gt=0.0, le=100.0, description="readings are clipped to this either way [m]")
+    mount_b: Mount = MOUNT
+    standing_height_m: float | None = Field(
+        None, ge=0.0, le=10.0, description="of the robot's origin over level ground [m]; null: its own"
+    )
+
+    @model_validator(mode="after")
+    def _sound(self) -> Self:
+        check_elevations(self.lowest_elevation_deg, self.highest_elevation_deg, "rows", self.rows)
+        return self
+
+
+class GroundProfile(VectorSensor):
+    """The reading `name`, (N, rows * columns) [m]: heights of what the rays meet, over the robot's ground.
+
+    Rows run from the lowest rays to the highest, columns counter-clockwise. Heights are vertical, by the
+    robot's attitude, over the level plane `standing_height_m` below its origin, so that level ground reads 0.
+    A ray that meets nothing reads the lower limit, as beyond an edge. Moving actors are seen.
+    """
+
+    def __init__(self, name: str, context: SensorContext, conf: GroundProfileConf) -> None:
+        highest = np.full(conf.rows * conf.columns, conf.limit_m)
+        super().__init__(name, context.num_rows, -highest, highest)
+        self._conf, self._navigation = conf, context.navigation
+        bearing = np.deg2rad(conf.fov_deg) * ((np.arange(conf.columns) + 0.5) / conf.columns - 0.5)
+        lowest, highest_up = np.deg2rad([conf.lowest_elevation_deg, conf.highest_elevation_deg])
+        elevation = np.linspace(lowest, highest_up, conf.rows)
+        self._beams = Beams(
+            fan(bearing, elevation).reshape(-1, 3), conf.mount_b, conf.range_m, context.solid, context.meshes
+        )
+
+    def measure(self, now: GroupState, state: State) -> None:
+        conf, motion = self._conf, now.motion
+        ranges: Floats = self._beams.ranges(motion.position_w, motion.rotation, now.neighbours)
+        known = motion.rotation if self._navigation is None else self._navigation.rotation
+        # The last row of the rotation gives heights of body-frame vectors.
+        upward = known[:, 2]
+        rise = upward @ self._beams.directions_b.T
+        start = self._beams.origin(np.zeros((len(upward), 3)), known)[:, 2]
+        heights = start[:, None] + ranges * rise + (conf.standing_height_m or 0.0)
+        self._store(np.where(ranges < np.float32(conf.range_m), heights, -conf.limit_m))
