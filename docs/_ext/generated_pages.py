@@ -24,7 +24,9 @@ from dune_rl.core import paths
 from dune_rl.core.registry import Registry
 from dune_rl.core.settings import Settings
 from dune_rl.env.randomisation import RandomisationConf
+from dune_rl.learning.ppo.settings import PpoConf
 from dune_rl.learning.sac.settings import SacConf
+from dune_rl.learning.settings import LearningConf
 from dune_rl.metrics.catalogue import CATALOGUE
 from dune_rl.metrics.episode import MetricsConf
 from dune_rl.metrics.registry import METRICS
@@ -49,8 +51,8 @@ SECTIONS: Mapping[str, tuple[Any, str]] = {
     "weather": (WeatherConf, "weather/clear"),
     "physics": (PhysicsConf, "physics/bullet"),
     "randomisation": (RandomisationConf, "randomisation/none"),
-    "learning": (SacConf, "learning/sac"),
 }
+ALGORITHMS: Mapping[str, type[Settings]] = {"sac": SacConf, "ppo": PpoConf}
 # Commands that take no settings of an environment.
 _ALONE: Mapping[str, tuple[type[Settings], HelpPage]] = {
     "engines": (EnginesConf, PAGES["engines"]),
@@ -81,6 +83,20 @@ def section_settings(name: str) -> Section:
     """The settings of a section that is the same whatever option is chosen."""
     model, file = SECTIONS[name]
     return read_section(model, name, read_comments(file), without=frozenset({"name"}))
+
+
+def algorithm_settings(name: str) -> Section:
+    """The settings of `learning` with the algorithm `name`, without those that every algorithm has."""
+    model = ALGORITHMS[name]
+    own = frozenset(model.model_fields) - frozenset(LearningConf.model_fields)
+    return read_section(model, "learning", read_comments(f"learning/{name}"), only=own)
+
+
+def common_learning_settings() -> Section:
+    """The settings of `learning` that every algorithm has; defaults are those of sac."""
+    common = frozenset(LearningConf.model_fields) - {"name"}
+    comments = read_comments("learning/sac")
+    return read_section(SacConf, "learning", comments, only=common, without=frozenset({"name"}))
 
 
 def sensor_settings() -> Section:
@@ -337,6 +353,8 @@ def generated_part(words: str, level: int) -> str:
 _SETTINGS: Mapping[str, Callable[..., Section]] = {
     "command": command_settings,
     "section": section_settings,
+    "learning": common_learning_settings,
+    "algorithm": algorithm_settings,
     "sensors": sensor_settings,
     "environment": environment_settings,
     "group": group_settings,

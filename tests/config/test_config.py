@@ -22,6 +22,7 @@ from dune_rl.core import paths
 from dune_rl.core.settings import Settings
 from dune_rl.env.distributions import Integers, LogUniform, Uniform
 from dune_rl.env.randomisation import RandomisationConf
+from dune_rl.learning.ppo.settings import PpoConf
 from dune_rl.learning.sac.settings import SacConf
 from dune_rl.metrics.episode import PAPER_METRICS, MetricsConf
 from dune_rl.physics.interface import PhysicsConf
@@ -241,6 +242,7 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
         "tractor": roaming(TractorConf(), 1, **(TRAFFIC | {"speed_mps": 1.5, "range_m": 12.0}))
     },
     ("actors", "trucks"): {"truck": roaming(TruckConf(), 2, speed_mps=2.5, **TRAFFIC)},
+    ("learning", "ppo"): PpoConf(),
     ("learning", "sac"): SacConf(),
     ("metrics", "paper"): MetricsConf(),
     ("metrics", "dune_code"): MetricsConf(terms={**PAPER_METRICS, **DUNE_CODE_METRICS}),

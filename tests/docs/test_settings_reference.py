@@ -27,6 +27,9 @@ def all_sections() -> Iterator[Section]:
         yield generated_pages.section_settings(name)
     for kind in generated_pages.KINDS:
         yield generated_pages.part_settings(kind)
+    for name in generated_pages.ALGORITHMS:
+        yield generated_pages.algorithm_settings(name)
+    yield generated_pages.common_learning_settings()
     yield generated_pages.sensor_settings()
     yield generated_pages.environment_settings()
     yield generated_pages.group_settings()
@@ -34,7 +37,10 @@ def all_sections() -> Iterator[Section]:
     yield generated_pages.metrics_settings()
 
 
-SETTINGS = {setting.path: setting for section in all_sections() for setting in section.all_settings()}
+# Of settings that several algorithms have, those of the first.
+SETTINGS = {
+    setting.path: setting for section in reversed(list(all_sections())) for setting in section.all_settings()
+}
 
 
 class InnerConf(Settings):

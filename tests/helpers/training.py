@@ -10,10 +10,11 @@ from dune_rl.learning.algorithm import LearnerContext
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE
 from dune_rl.learning.collector import MakeEnv
 from dune_rl.learning.policy_spec import PolicySpec
+from dune_rl.learning.ppo.settings import PpoConf
 from dune_rl.learning.run.progress import Reporter
 from dune_rl.learning.sac.learner import Sac
 from dune_rl.learning.sac.settings import ReplayConf, SacConf
-from dune_rl.learning.settings import CheckpointConf, CollectorConf, EvaluationConf
+from dune_rl.learning.settings import CheckpointConf, CollectorConf, EvaluationConf, LearningConf
 from dune_rl.learning.trainer import Trainer
 
 SMALL = SacConf(
@@ -32,6 +33,17 @@ SMALL = SacConf(
 )
 
 
+SMALL_PPO = PpoConf(
+    hidden=(32, 32),
+    batch_size=64,
+    epochs=2,
+    learning_rate=1e-3,
+    collector=CollectorConf(mode="serial", scenes=8, steps=16),
+    evaluation=SMALL.evaluation,
+    checkpoint=SMALL.checkpoint,
+)
+
+
 def small(**changes: Any) -> SacConf:
     """`SMALL` with other values; `mode` and `storage` are the collector's and the replay buffer's."""
     if "mode" in changes:
@@ -43,7 +55,7 @@ def small(**changes: Any) -> SacConf:
 
 def trainer(
     folder: Path,
-    learning: SacConf = SMALL,
+    learning: LearningConf = SMALL,
     *,
     make_env: MakeEnv = make_point_mass,
     total_frames: int = 2048,
@@ -74,7 +86,15 @@ def make_sac(
     **settings: Any,
 ) -> Sac:
     """A learner of one group by itself."""
-    context = LearnerContext(
+    context = make_context(spec, folder, total_frames=total_frames, agents=agents, group=group)
+    return Sac(context, SacConf(precision=settings.pop("precision", "float32"), **settings))
+
+
+def make_context(
+    spec: PolicySpec, folder: Path, *, total_frames: int = 1, agents: int = 1, group: str = "rover"
+) -> LearnerContext:
+    """What a learner of one group is built for, on the CPU."""
+    return LearnerContext(
         group=group,
         num_agents=agents,
         spec=spec,
@@ -83,7 +103,6 @@ def make_sac(
         device=torch.device("cpu"),
         algorithm="sac",
     )
-    return Sac(context, SacConf(precision=settings.pop("precision", "float32"), **settings))
 
 
 def weights(folder: Path) -> dict[str, torch.Tensor]:
@@ -99,7 +118,7 @@ def weights(folder: Path) -> dict[str, torch.Tensor]:
 
 
 def assert_halves_make_a_whole(
-    make_env: MakeEnv, folder: Path, learning: SacConf = SMALL, frames: int = 1280, half: int = 900
+    make_env: MakeEnv, folder: Path, learning: LearningConf = SMALL, frames: int = 1280, half: int = 900
 ) -> None:
     """Two half-runs end with the weights, targets and optimiser moments of one whole run, bit for bit."""
     trainer(folder / "whole", learning, make_env=make_env, total_frames=frames).train()

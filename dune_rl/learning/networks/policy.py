@@ -1,5 +1,6 @@
 """The policy network: one feature vector of all parts of an observation, then a tanh-normal action."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -195,6 +196,8 @@ def _check_names(spec: PolicySpec, named: Mapping[str, Any]) -> None:
 
 FEATURES = "features"
 _LOG_SCALE_MIN, _LOG_SCALE_MAX = -5.0, 2.0
+# Of the usual weights of the last layer, where a policy is to begin with the same action everywhere.
+_SMALL = 0.01
 
 
 def perceptron(n_in: int, hidden: Sequence[int], n_out: int) -> nn.Sequential:
@@ -218,6 +221,15 @@ class Actor(nn.Module):
         loc, raw = self.body(features).float().chunk(2, -1)
         share = (torch.tanh(raw) + 1) / 2
         return loc, torch.exp(_LOG_SCALE_MIN + (_LOG_SCALE_MAX - _LOG_SCALE_MIN) * share)
+
+    @torch.no_grad()
+    def set_noise(self, scale: float) -> None:
+        """Begin with about the middle of the action's bounds, and noise of this `scale`, whatever is seen."""
+        share = (math.log(scale) - _LOG_SCALE_MIN) / (_LOG_SCALE_MAX - _LOG_SCALE_MIN)
+        last = self.body[-1]
+        assert isinstance(last, nn.Linear)
+        last.weight.mul_(_SMALL)
+        last.bias.copy_(torch.tensor([0.0, math.atanh(2 * share - 1)]).repeat_interleave(len(last.bias) // 2))
 
 
 def make_policy_network(

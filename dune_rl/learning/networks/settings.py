@@ -26,6 +26,20 @@ class NetworkConf(LearningConf):
     observation_clip: float = Field(10.0, gt=0, description="bound on normalised observations")
 
 
+class ActorCriticConf(NetworkConf):
+    """Base of the settings of algorithms that have an actor, critics, and a linear learning rate."""
+
+    learning_rate: float = Field(3e-4, gt=0, description="at frame 0")
+    final_learning_rate: float = Field(5e-5, gt=0, description="at total_frames, reached linearly")
+    batch_size: int = Field(512, ge=1)
+    gamma: float = Field(0.99, ge=0, lt=1)
+    reward_scale: float = Field(1.0, gt=0, description="multiplies the reward in the loss, never in the logs")
+
+    def learning_rate_at(self, share: float) -> float:
+        """The learning rate after a `share` (0 to 1) of the run."""
+        return self.learning_rate + share * (self.final_learning_rate - self.learning_rate)
+
+
 class CommandGridConf(Settings):
     """Grid of commands: every speed with every relative heading, which are closer together near 0."""
 

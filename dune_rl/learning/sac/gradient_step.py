@@ -59,7 +59,7 @@ class GradientStep:
     def schedule(self, share: float) -> float:
         """Set and return the learning rate that is due after a `share` (0 to 1) of the run."""
         conf = self._conf
-        rate = conf.learning_rate + share * (conf.final_learning_rate - conf.learning_rate)
+        rate = conf.learning_rate_at(share)
         networks, coefficient = self.optimiser.param_groups
         networks["lr"] = rate
         coefficient["lr"] = conf.entropy_learning_rate * rate / conf.learning_rate

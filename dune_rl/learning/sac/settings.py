@@ -6,7 +6,7 @@ from typing import Any, Literal, Self
 from pydantic import Field, model_validator
 
 from dune_rl.core.settings import Settings
-from dune_rl.learning.networks.settings import NetworkConf
+from dune_rl.learning.networks.settings import ActorCriticConf
 
 
 class ReplayConf(Settings):
@@ -16,12 +16,10 @@ class ReplayConf(Settings):
     storage: Literal["memory", "disk"] = Field("memory", description="disk: a memory map in the run's folder")
 
 
-class SacConf(NetworkConf):
+class SacConf(ActorCriticConf):
     """Soft actor-critic; the defaults are those of the DUnE paper where it states them."""
 
     name: Literal["sac"] = "sac"
-    learning_rate: float = Field(3e-4, gt=0, description="at frame 0")
-    final_learning_rate: float = Field(5e-5, gt=0, description="at total_frames, reached linearly")
     entropy_learning_rate: float = Field(
         3e-3, gt=0, description="of the entropy coefficient, falling in step with the other"
     )
@@ -31,15 +29,12 @@ class SacConf(NetworkConf):
         description="policy that acts in them; policy: its own, with its noise, as with start_from",
     )
     updates_per_frame: float = Field(0.0625, gt=0, description="gradient updates for each frame collected")
-    batch_size: int = Field(512, ge=1)
-    gamma: float = Field(0.99, ge=0, lt=1)
     n_steps: int = Field(8, ge=1, le=64, description="of reward before the bootstrap; 1 is plain SAC")
     tau: float = Field(0.005, gt=0, le=0.5, description="share of the new weights in each target update")
     initial_entropy_coefficient: float = Field(0.5, gt=0)
     target_entropy: float | None = Field(
         None, description="nats, for actions scaled to [-1, 1]; null: minus the number of action components"
     )
-    reward_scale: float = Field(1.0, gt=0, description="multiplies the reward in the loss, never in the logs")
     precision: Literal["auto", "float32", "bfloat16"] = Field(
         "auto", description="of the networks' products; auto: bfloat16 where the processor is faster at it"
     )
