@@ -183,7 +183,9 @@ def train(conf: Conf, resume: Path | None = None, words: Sequence[str] = ()) -> 
     reporter = BarReporter(console) if console.is_terminal else LineReporter(partial(print, flush=True))
     run_dir = Path(conf.run_dir)
     config = conf.model_copy(update={"resume": None}).model_dump(mode="json")
-    evaluated = conf.model_copy(update={"randomisation": conf.randomisation.with_new_worlds()})
+    evaluated = conf.model_copy(
+        update={"randomisation": conf.randomisation.with_new_worlds(conf.learning.evaluation.world_seeds)}
+    )
     try:
         trainer = Trainer(
             partial(make_learning_env, conf),

@@ -8,7 +8,7 @@ from pydantic import ConfigDict, Field, create_model, model_validator
 from dune_rl.core.errors import DuneError
 from dune_rl.core.registry import RegisteredPart, Registry
 from dune_rl.core.settings import Settings
-from dune_rl.env.distributions import Distribution, WholeNumbers
+from dune_rl.env.distributions import Distribution, Integers, WholeNumbers
 from dune_rl.env.randomised_properties import EpisodeVariation
 from dune_rl.rendering.weather import WeatherConf
 
@@ -102,9 +102,15 @@ class RandomisationConf(_OwnProperties):
         drawn = (each for each in self if each[0] != _KEPT)
         return {name: distribution for name, distribution in drawn if distribution is not None}
 
-    def with_new_worlds(self) -> Self:
-        """These settings with a world for each episode, so that no result depends on the number of scenes."""
-        return self.model_copy(update={_KEPT: 1})
+    def with_new_worlds(self, seeds: tuple[int, int] | None = None) -> Self:
+        """These settings with a world for each episode, so that no result depends on the number of scenes.
+
+        Its seed is drawn between `seeds`, both included; None: as these settings draw it, if they do.
+        """
+        changes: dict[str, Any] = {_KEPT: 1}
+        if seeds is not None:
+            changes["world_seed"] = Integers(name="integers", low=seeds[0], high=seeds[1])
+        return self.model_copy(update=changes)
 
     @model_validator(mode="after")
     def _within_limits(self) -> Self:

@@ -42,6 +42,9 @@ class EvaluationConf(Settings):
     scenes: int = Field(16, ge=1, le=8192, description="episodes run side by side; no result depends on it")
     tracks: int = Field(6, ge=0, description="first episodes whose tracks TensorBoard shows; 0: none")
     seed_offset: int = Field(1_000_003, ge=1, description="added to the run's seed; training never sees it")
+    world_seeds: tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]] | None = Field(
+        None, description="lowest and highest seed of worlds that training does not draw; null: its own"
+    )
 
 
 class CheckpointConf(Settings):
