@@ -171,12 +171,13 @@ def _make(conf: Mapping[str, Any], part: PartSpec) -> nn.Module:
 
 
 def _equal_scans(spec: PolicySpec, named: Mapping[str, Any]) -> list[list[str]]:
-    """The keys of the scans without an encoder of their own, grouped by length, shortest first."""
-    scans: dict[int, list[str]] = {}
-    for key, length in spec.sizes.items():
-        if key in spec.ranges and length >= _SHORTEST_SCAN and key not in named:
-            scans.setdefault(length, []).append(key)
-    return [scans[length] for length in sorted(scans)]
+    """The keys of the scans without an encoder of their own, grouped by length, shortest first.
+
+    A vector as long as a scan, such as the velocity of what each segment sees, is one of its channels.
+    """
+    free = {key: length for key, length in spec.sizes.items() if key not in named}
+    lengths = {length for key, length in free.items() if key in spec.ranges and length >= _SHORTEST_SCAN}
+    return [[key for key, length in free.items() if length == each] for each in sorted(lengths)]
 
 
 def _stacked(spec: PolicySpec, keys: Sequence[str]) -> PartSpec:
