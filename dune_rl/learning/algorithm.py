@@ -87,6 +87,9 @@ class Algorithm(ABC):
         """The policy that acts in the first `warmup_frames`; None: uniformly random actions."""
         return None
 
+    def check_environment(self, env: EnvBase) -> None:  # noqa: B027
+        """Raise ConfigError, before data are collected, where the learner cannot learn in such as `env`."""
+
     def wrap_environment(self, make_env: MakeEnv, *, warms_up: bool) -> MakeEnv:
         """What makes the environments that data are collected in: `make_env` and what the learner adds.
 

@@ -49,6 +49,7 @@ def build_learners(
         frozen = conf.frozen(group)
         if frozen is None:
             learners[group] = build_learner(conf.of_group(group), context)
+            learners[group].check_environment(env)
         else:
             learners[group] = FrozenPolicy(context, Path(frozen))
     return learners

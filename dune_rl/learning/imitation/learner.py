@@ -11,7 +11,10 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 from torchrl.envs import EnvBase
 
+from dune_rl.core.errors import ConfigError
+from dune_rl.env.torchrl.episode_metrics import simulation_in
 from dune_rl.learning.algorithm import Algorithm, LearnerContext, MakeEnv
+from dune_rl.learning.drivers import BoundDriver
 from dune_rl.learning.group_policy import agent_sequences
 from dune_rl.learning.imitation.settings import ImitationConf
 from dune_rl.learning.imitation.teacher import TEACHER_COSTS, TeacherLabels
@@ -58,6 +61,14 @@ class Imitation(Algorithm):
         cls, spec: Any, settings: Mapping[str, Any], device: Any = "cpu"
     ) -> TensorDictModuleBase:
         return make_command_network(spec, settings, device)
+
+    def check_environment(self, env: EnvBase) -> None:
+        """Raise ConfigError where the teacher cannot drive the group."""
+        simulation = simulation_in(env)
+        try:
+            BoundDriver(self._conf.teacher, simulation, simulation.group(self.context.group))
+        except ConfigError as error:
+            raise ConfigError(f"learning.teacher={self._conf.teacher}: {error}") from None
 
     def wrap_environment(self, make_env: MakeEnv, *, warms_up: bool) -> MakeEnv:
         conf = self._conf

@@ -2,8 +2,9 @@
 
 from typing import Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
+from dune_rl.behaviours.registry import BEHAVIOURS
 from dune_rl.learning.networks.settings import CommandGridConf, NetworkConf
 from dune_rl.learning.sac.settings import ReplayConf
 
@@ -35,6 +36,13 @@ class ImitationConf(NetworkConf):
     )
     temperature: float = Field(0.1, gt=0, description="of the costs, where they make probabilities")
     replay: ReplayConf = ReplayConf()
+
+    @field_validator("teacher")
+    @classmethod
+    def _known(cls, value: str) -> str:
+        if BEHAVIOURS.find(value) is None:
+            raise ValueError(BEHAVIOURS.unknown(value))
+        return value
 
     @model_validator(mode="after")
     def _replay_holds_a_batch(self) -> Self:

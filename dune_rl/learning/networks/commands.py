@@ -25,7 +25,8 @@ def command_grid(spec: PolicySpec, conf: CommandGridConf) -> Tensor:
     forward = torch.linspace(0.0, spec.high[0], conf.speeds + 1)
     backward = torch.linspace(spec.low[0], 0.0, conf.reverse_speeds + 1)[:-1]
     speeds = torch.cat([backward[backward < 0.0], forward])
-    share = torch.linspace(-1.0, 1.0, conf.headings)
+    # 0 exactly in the middle: straight on.
+    share = (torch.arange(conf.headings) - conf.headings // 2) / (conf.headings // 2)
     headings = min(conf.max_heading_rad, spec.high[1]) * share * share.abs()
     return torch.cartesian_prod(speeds, headings)
 
