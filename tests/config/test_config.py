@@ -22,6 +22,7 @@ from dune_rl.core import paths
 from dune_rl.core.settings import Settings
 from dune_rl.env.distributions import Integers, LogUniform, Uniform
 from dune_rl.env.randomisation import RandomisationConf
+from dune_rl.learning.imitation.settings import ImitationConf
 from dune_rl.learning.ppo.settings import PpoConf
 from dune_rl.learning.sac.settings import SacConf
 from dune_rl.metrics.episode import PAPER_METRICS, MetricsConf
@@ -42,6 +43,7 @@ from dune_rl.worlds.importing.mesh_world import MeshConf
 from dune_rl.worlds.importing.sdf.build import SdfConf
 from dune_rl.worlds.inspection.build import InspectionConf
 from dune_rl.worlds.island import IslandConf
+from dune_rl.worlds.mixed import MixedConf
 from dune_rl.worlds.obstacle_course import ObstacleCourseConf
 from dune_rl.worlds.rubicon import RubiconConf
 
@@ -242,6 +244,7 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
         "tractor": roaming(TractorConf(), 1, **(TRAFFIC | {"speed_mps": 1.5, "range_m": 12.0}))
     },
     ("actors", "trucks"): {"truck": roaming(TruckConf(), 2, speed_mps=2.5, **TRAFFIC)},
+    ("learning", "imitation"): ImitationConf(),
     ("learning", "ppo"): PpoConf(),
     ("learning", "sac"): SacConf(),
     ("metrics", "paper"): MetricsConf(),
@@ -277,7 +280,8 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
                 name: {"sensor": "lidar_past", "past_s": past_s}
                 for name, past_s in (("past_025", 0.25), ("past_05", 0.5), ("past_1", 1.0))
             },
-            **{name: {} for name in ("agent_tracks", "way_left", "goal_direction", "velocity")},
+            **{name: {} for name in ("agent_tracks", "way_left", "ground_profile", "goal_direction")},
+            **{name: {} for name in ("velocity", "imu_6axis", "last_action")},
         }
     ),
     ("sensors", "walker"): walker_sensors(),
@@ -334,6 +338,7 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
     ("world", "flat"): FlatConf(),
     ("world", "heightmap"): HeightmapConf(path=GIVEN),
     ("world", "island"): IslandConf(),
+    ("world", "mixed"): MixedConf(),
     ("world", "obstacle_course"): ObstacleCourseConf(),
     ("world", "mesh"): MeshConf(path=GIVEN),
     ("world", "rubicon"): RubiconConf(),

@@ -16,7 +16,7 @@ from dune_rl.worlds.flat import FlatConf
 
 CONF = paths.conf_folder()
 EXPERIMENTS = sorted(path.stem for path in CONF.glob("experiment/*.yaml"))
-WORLDS = "construction, flat, heightmap, inspection, island, mesh, obstacle_course, rubicon or sdf"
+WORLDS = "construction, flat, heightmap, inspection, island, mesh, mixed, obstacle_course, rubicon or sdf"
 CHOOSE = f"choose a world: +world=NAME with {WORLDS}"
 NO_MOON = f"there is no world 'moon'; choose {WORLDS}"
 
