@@ -130,7 +130,8 @@ class FreeSpace:
 
     A cell is traversable if slope and clearance at its centre admit a round robot of `footprint_radius_m`, at
     least `edge_m` from the world's edge and not on or under a drivable prop. `components` (rows, columns) is
-    0 for cells that are not traversable, else the number of the 4-connected component.
+    0 for cells that are not traversable, else the number of the 4-connected component. The grid covers a
+    `window` (xmin, xmax, ymin, ymax) [m] of the world; None: all of it.
     """
 
     def __init__(
@@ -141,8 +142,9 @@ class FreeSpace:
         *,
         cell_m: float = 0.1,
         edge_m: float = 1.0,
+        window: tuple[float, float, float, float] | None = None,
     ) -> None:
-        xmin, xmax, ymin, ymax = world.extent
+        xmin, xmax, ymin, ymax = world.extent if window is None else window
         self.cell_m = max(cell_m, float(np.sqrt((xmax - xmin) * (ymax - ymin) / _MAX_CELLS)))
         self.x: Array = np.arange(xmin + self.cell_m / 2, xmax, self.cell_m)
         self.y: Array = np.arange(ymin + self.cell_m / 2, ymax, self.cell_m)
@@ -163,6 +165,7 @@ class FreeSpace:
                 over_x = np.abs(self.x - centre[0]) < reach[0]
                 over_y = np.abs(self.y - centre[1]) < reach[1]
                 self.blocked |= over_y[:, None] & over_x
+        xmin, xmax, ymin, ymax = world.extent
         inside_x = (self.x >= xmin + edge_m) & (self.x <= xmax - edge_m)
         inside_y = (self.y >= ymin + edge_m) & (self.y <= ymax - edge_m)
         self.inside: Flags = inside_y[:, None] & inside_x

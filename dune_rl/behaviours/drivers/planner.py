@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from dune_rl.behaviours.drivers.context import BoundBehaviour
-from dune_rl.behaviours.drivers.route_map import shared_route_map
+from dune_rl.behaviours.drivers.route_map import plan_routes
 from dune_rl.behaviours.drivers.stuck_recovery import StuckRecovery
 from dune_rl.behaviours.drivers.window_loops import choose_commands, score_commands
 from dune_rl.geometry.arrays import Array, Flags
@@ -145,8 +145,8 @@ class Planner(BoundBehaviour):
         radius, narrowest = vehicle.footprint_radius_m, vehicle.width_m / 2 + _SIDE_ROOM_M
         for row in new.tolist():
             world, start = worlds.worlds[row // group.count], group.motion.position_w[row, :2]
-            known = shared_route_map(world, radius, self._max_slope_deg, narrowest)
-            routes = known.routes_to(goals[row], start, self._recovery.blocked[row])
+            settings = radius, self._max_slope_deg, narrowest
+            known, routes = plan_routes(world, settings, goals[row], start, self._recovery.blocked[row])
             size = routes.cost.size
             missing = size - self._fields.shape[1]
             if missing > 0:

@@ -12,8 +12,13 @@ from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.worlds.passage import FreeSpace
 from dune_rl.worlds.world import World
 
-_CELL_M = 0.2
-_MAX_CELLS = 160_000
+# Cells of the maps of 25 by 25 m and less, of those of 63 by 63 m, and the most cells beyond 80 by 80 m.
+_FINEST_M, _CELL_M = 0.1, 0.2
+_MOST_CELLS, _MOST_COARSE_CELLS = 100_000, 160_000
+# A map reaches so far beyond start and goal, or by their distance; its sides lie on multiples of a raster.
+_MARGIN_M, _RASTER_M = 8.0, 4.0
+# Maps of windows that are kept with a world.
+_KEPT_MAPS = 12
 _EDGE_M = 0.5
 # Steps (rows, columns) in half of 16 directions; the others are their opposites. With 16 directions a route
 # in the open is at most 2.7 % longer than the shortest, with 8 it is 8.2 %.
@@ -31,16 +36,18 @@ _NO_ROUTE_COST = 1_000.0
 _REACH = 4.0
 # Room that steep ground counts for in the follower, over the footprint's radius.
 _STEEP_ROOM = 0.68
-# A waypoint lies 2 to this power steps of a route ahead.
-_DOUBLINGS = 2
+# A waypoint lies some steps ahead on a route, which are so long together along an axis.
+_WAYPOINT_M = 0.8
+
+Window = tuple[float, float, float, float]
 
 
 class Routes(NamedTuple):
     """The cheapest routes to a goal from everywhere, (rows, columns) each.
 
-    `cost` is that to go, `waypoint` the number of the cell four steps ahead. `clearance` [m] is that of
-    obstacles and of what was blocked besides; on ground that is too steep it is at most 0.68 times the
-    footprint's radius, and grows with the distance from there.
+    `cost` is that to go, `waypoint` the number of a cell some steps ahead: four of 0.2 m, eight of 0.1 m.
+    `clearance` [m] is that of obstacles and of what was blocked besides; on ground that is too steep it is at
+    most 0.68 times the footprint's radius, and grows with the distance from there.
     """
 
     cost: Floats
@@ -51,18 +58,25 @@ class Routes(NamedTuple):
 class RouteMap:
     """Costs of travel of a round robot of `footprint_radius_m` in a world; see `FreeSpace` for what is free.
 
+    It covers a `window` (xmin, xmax, ymin, ymax) [m] of the world, or all of it, by cells of `cell_m`.
+
     A metre costs 1 on level ground in the open, up to 3 at the slope limit and up to 4 beside an obstacle,
     and up to 12 where the clearance is below the footprint's radius but not below `narrowest_m`.
-    Cells are 0.2 m wide, larger in worlds of more than 80 by 80 m. It keeps no reference to the world.
+    It keeps no reference to the world.
     """
 
     def __init__(
-        self, world: World, footprint_radius_m: float, max_slope_deg: float, narrowest_m: float | None = None
+        self,
+        world: World,
+        footprint_radius_m: float,
+        max_slope_deg: float,
+        narrowest_m: float | None = None,
+        *,
+        cell_m: float = _CELL_M,
+        window: Window | None = None,
     ) -> None:
         narrowest = footprint_radius_m if narrowest_m is None else min(narrowest_m, footprint_radius_m)
-        xmin, xmax, ymin, ymax = world.extent
-        cell_m = max(_CELL_M, float(np.sqrt((xmax - xmin) * (ymax - ymin) / _MAX_CELLS)))
-        space = FreeSpace(world, narrowest, max_slope_deg, cell_m=cell_m, edge_m=_EDGE_M)
+        space = FreeSpace(world, narrowest, max_slope_deg, cell_m=cell_m, edge_m=_EDGE_M, window=window)
         self._narrowest_m = narrowest
         self.cell_m, self.x, self.y = space.cell_m, space.x, space.y
         self.traversable = space.traversable
@@ -151,7 +165,7 @@ class RouteMap:
         if not np.isfinite(found[begin]):
             found, before = dijkstra(graph, indices=source, return_predecessors=True)
         waypoint = np.where(before < 0, source, before)
-        for _ in range(_DOUBLINGS):
+        for _ in range(round(np.log2(_WAYPOINT_M / self.cell_m))):
             waypoint = waypoint[waypoint]
         shape = self.traversable.shape
         cost = found[self._nearest].reshape(shape) + _OFF_COST * self._off_m
@@ -170,9 +184,65 @@ def _window(rows: int, columns: int, down: int, right: int, offset: tuple[int, i
     return (slice(offset[0], last_row + offset[0]), slice(first + offset[1], last_column + offset[1]))
 
 
-def shared_route_map(
-    world: World, footprint_radius_m: float, max_slope_deg: float, narrowest_m: float | None = None
-) -> RouteMap:
-    """The route map of a world, made once and kept with it."""
-    settings = footprint_radius_m, max_slope_deg, narrowest_m
-    return world.memoize(("route map", *settings), lambda: RouteMap(world, *settings))
+def plan_routes(
+    world: World, settings: tuple[float, ...], goal_xy: Array, start_xy: Array, blocked: ArrayLike = ()
+) -> tuple[RouteMap, Routes]:
+    """The map of a window around a start and a goal (2,), and the cheapest routes to the goal in it.
+
+    `settings` are those of a `RouteMap` after the world; `blocked` is that of `RouteMap.routes_to`. The
+    window grows until no way that leaves it can be cheaper than the route within. Cells are 0.1 m where it
+    has at most 1,000 m², larger beyond.
+    """
+    apart_m = float(np.hypot(*(goal_xy - start_xy)))
+    margin_m, least = max(_MARGIN_M, apart_m), np.inf
+    while True:
+        window = _window_around(world.extent, goal_xy, start_xy, margin_m)
+        known = shared_route_map(world, settings, window)
+        routes = known.routes_to(goal_xy, start_xy, blocked)
+        cost = float(routes.cost.ravel()[known.cell_number(start_xy)])
+        if cost < least:
+            least, found = cost, (known, routes)
+        if cost <= _shortest_way_out(world.extent, window, goal_xy, start_xy):
+            return found
+        margin_m *= 3.0
+
+
+def _window_around(extent: Window, goal: Array, start: Array, margin_m: float) -> Window:
+    """A window with start, goal and a margin, cut off at the world's `extent`."""
+    xmin, xmax, ymin, ymax = extent
+    origin, end = np.array([xmin, ymin]), np.array([xmax, ymax])
+    low = np.floor((np.minimum(goal, start) - margin_m - origin) / _RASTER_M) * _RASTER_M
+    high = np.ceil((np.maximum(goal, start) + margin_m - origin) / _RASTER_M) * _RASTER_M
+    (left, bottom), (right, top) = np.maximum(origin + low, origin), np.minimum(origin + high, end)
+    return float(left), float(right), float(bottom), float(top)
+
+
+def _shortest_way_out(extent: Window, window: Window, goal: Array, start: Array) -> float:
+    """Length [m] of the shortest way from start to goal by the outside of a window; inf if there is none."""
+    shortest = np.inf
+    for side, (edge, world_edge) in enumerate(zip(window, extent, strict=True)):
+        if edge != world_edge:
+            axis = side // 2
+            across = abs(start[axis] - edge) + abs(goal[axis] - edge)
+            shortest = min(shortest, float(np.hypot(across, start[1 - axis] - goal[1 - axis])))
+    return shortest
+
+
+def _cell_of(window: Window) -> float:
+    """Width [m] of the cells of a window's map."""
+    left, right, bottom, top = window
+    area = (right - left) * (top - bottom)
+    fine = float(np.clip(np.sqrt(area / _MOST_CELLS), _FINEST_M, _CELL_M))
+    return max(fine, float(np.sqrt(area / _MOST_COARSE_CELLS)))
+
+
+def shared_route_map(world: World, settings: tuple[float, ...], window: Window) -> RouteMap:
+    """The route map of a window of a world; the last few are kept with the world."""
+    kept: dict[Window, RouteMap] = world.memoize(("route maps", settings), dict)
+    known = kept.pop(window, None)
+    if known is None:
+        known = RouteMap(world, *settings, cell_m=_cell_of(window), window=window)
+    kept[window] = known
+    if len(kept) > _KEPT_MAPS:
+        del kept[next(iter(kept))]
+    return known

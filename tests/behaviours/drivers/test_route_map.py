@@ -5,13 +5,14 @@ import pytest
 from scipy.sparse.csgraph import dijkstra
 from yards import yard
 
-from dune_rl.behaviours.drivers.route_map import RouteMap, shared_route_map
+from dune_rl.behaviours.drivers.route_map import RouteMap, plan_routes, shared_route_map
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.worlds.world import World
 
 RADIUS_M = 0.4
 # A wall across the yard from its lower edge to y = 6.
 WALL = (0.0, -2.0, 0.0, 0.4, 16.0)
+WINDOW = (-4.0, 4.0, -4.0, 4.0)
 
 
 def route_of(routes: RouteMap, start_xy, goal_xy) -> np.ndarray:
@@ -107,10 +108,40 @@ def test_far_detours_are_found_though_the_first_search_is_short() -> None:
     assert 20.0 < routes.routes_to(goal, start).cost.ravel()[routes.cell_number(start)] < 60.0
 
 
-def test_a_world_keeps_one_map_for_all_scenes() -> None:
+def test_a_world_keeps_one_map_of_a_window_for_all_scenes() -> None:
     world = yard()
-    assert shared_route_map(world, 0.4, 25.0) is shared_route_map(world, 0.4, 25.0)
-    assert shared_route_map(world, 0.4, 25.0) is not shared_route_map(world, 0.3, 25.0)
+    kept = shared_route_map(world, (0.4, 25.0), WINDOW)
+    assert shared_route_map(world, (0.4, 25.0), WINDOW) is kept
+    assert shared_route_map(world, (0.3, 25.0), WINDOW) is not kept
+    for right in range(20):
+        shared_route_map(world, (0.4, 25.0), (-1.0, float(right), -1.0, 1.0))
+    assert shared_route_map(world, (0.4, 25.0), WINDOW) is not kept
+
+
+@pytest.mark.parametrize("half", [10, 50])
+def test_a_narrow_gap_is_open_in_a_world_of_any_size(half: int) -> None:
+    # A gap of 0.7 m, whose middle is at no centre of cells of 0.2 m; round the wall is farther than 20 m.
+    world = yard((0.0, -5.27, 0.0, 0.4, 10.0), (0.0, 5.43, 0.0, 0.4, 10.0), half=half)
+    start, goal = np.array([-3.1, 0.1]), np.array([3.1, 0.1])
+    known, routes = plan_routes(world, (0.38, 25.0, 0.3), goal, start)
+    assert known.cell_m == pytest.approx(0.1)
+    assert routes.cost.ravel()[known.cell_number(start)] < 18.0
+    ahead = routes.waypoint.ravel()[known.cell_number(start)]
+    assert known.x[ahead % len(known.x)] == pytest.approx(start[0] + 0.8, abs=0.1)
+
+
+def test_a_window_grows_until_it_has_the_cheapest_route() -> None:
+    # Round a wall of 40 m, 1 m from both points.
+    world = yard((0.0, 0.0, 0.0, 0.4, 40.0), half=28)
+    start, goal = np.array([-1.1, 0.1]), np.array([1.1, 0.1])
+    known, routes = plan_routes(world, (0.38, 25.0, 0.3), goal, start)
+    assert 40.0 < routes.cost.ravel()[known.cell_number(start)] < 55.0
+
+
+def test_cells_are_no_finer_than_they_can_be_in_large_windows() -> None:
+    start, goal = np.array([-40.0, -40.0]), np.array([40.0, 40.0])
+    known, _ = plan_routes(yard(half=50), (0.38, 25.0, 0.3), goal, start)
+    assert known.cell_m == pytest.approx(0.25) and known.x[-1] == pytest.approx(49.875)
 
 
 def test_a_route_leads_through_a_gap_that_the_robot_fits_lengthwise_and_costs_more_there() -> None:
