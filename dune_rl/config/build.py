@@ -34,7 +34,7 @@ from dune_rl.env.pettingzoo import ParallelDuneEnv
 from dune_rl.env.requests import EpisodePlan
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.env.window import RenderMode
-from dune_rl.geometry.arrays import Array
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.physics.interface import scene_maker
 from dune_rl.robots.registry import ROBOTS
 from dune_rl.robots.robot import Robot
@@ -166,6 +166,7 @@ def _frozen_policy(conf: FrozenPolicyConf, group: AgentGroup) -> Controller:
     from tensordict import TensorDict
 
     from dune_rl.learning.group_policy import Deterministic
+    from dune_rl.learning.networks.policy import BEGINS
     from dune_rl.learning.policy_spec import PolicySpec
     from dune_rl.learning.saved_policies import load_group_policy
 
@@ -182,7 +183,7 @@ def _frozen_policy(conf: FrozenPolicyConf, group: AgentGroup) -> Controller:
         raise CheckpointError("\n".join([f"{setting}: {lines[0]}", *lines[1:]])) from None
     policy = Deterministic(found)
 
-    def act(readings: dict[str, Reading]) -> Array:
+    def act(readings: dict[str, Reading], begins: Flags) -> Array:
         rows = group.num_rows
         observation = {
             key: torch.from_numpy(reading).reshape(-1, group.count, *reading.shape[1:])
@@ -192,6 +193,7 @@ def _frozen_policy(conf: FrozenPolicyConf, group: AgentGroup) -> Controller:
         inputs = TensorDict({group.name: {"observation": observation}}, batch_size=size[:1])
         inputs[group.name].batch_size = size
         inputs[group.name, "observation"].batch_size = size
+        inputs[group.name, BEGINS] = torch.from_numpy(begins).reshape(*size, 1)
         action: torch.Tensor = policy(inputs)[group.name, "action"]
         return action.reshape(rows, -1).numpy().astype(np.float64)
 

@@ -12,7 +12,7 @@ from dune_rl.state.state import GroupState, State
 from dune_rl.state.terms import check_written_state
 
 Observe = Callable[[], dict[str, Reading]]
-Policy = Callable[[dict[str, Reading]], Array]
+Policy = Callable[[dict[str, Reading], Flags], Array]
 
 
 class Controller(Protocol):
@@ -48,13 +48,18 @@ class BehaviourController:
 
 
 class PolicyController:
-    """A frozen policy as a controller: it maps the group's observation to actions (N, A)."""
+    """A frozen policy as a controller: it maps the group's observation to actions (N, A).
+
+    It is also given the agents (N,) whose episodes begin, of which it must not remember anything.
+    """
 
     def __init__(self, policy: Policy) -> None:
         self._policy = policy
+        self._begins = np.zeros(0, bool)
 
     def reset(self, mask: Flags, group: GroupState) -> None:
-        """A frozen policy remembers nothing."""
+        self._begins = mask | self._begins if len(self._begins) else mask.copy()
 
     def act(self, state: State, group: GroupState, observe: Observe) -> Array:
-        return np.asarray(self._policy(observe()), np.float64)
+        begins, self._begins = self._begins, np.zeros_like(self._begins)
+        return np.asarray(self._policy(observe(), begins), np.float64)

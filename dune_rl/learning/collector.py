@@ -3,7 +3,7 @@
 import os
 import signal
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from typing import Any
@@ -17,7 +17,8 @@ from torchrl.envs import EnvBase
 from dune_rl.core.errors import DuneWarning
 from dune_rl.core.seeding import stream
 from dune_rl.learning.algorithm import MakeEnv
-from dune_rl.learning.group_policy import JointPolicy
+from dune_rl.learning.episode_begins import EpisodeBegins
+from dune_rl.learning.group_policy import GroupPolicy, JointPolicy
 from dune_rl.learning.population import OpponentDraws, Population, PopulationPolicy
 from dune_rl.learning.process import WorkerMonitor
 from dune_rl.learning.settings import CollectorConf
@@ -52,6 +53,10 @@ def _worker_env(make_env: MakeEnv, scenes: int, seed: int) -> EnvBase:
     torch.set_num_threads(1)
     torch.manual_seed(seed)
     return make_env(scenes, seed)
+
+
+def _env_with_begins(make_env: MakeEnv, groups: Sequence[str], scenes: int, seed: int) -> EnvBase:
+    return make_env(scenes, seed).append_transform(EpisodeBegins(groups))
 
 
 def _env_with_draws(make_env: MakeEnv, num_groups: int, scenes: int, seed: int) -> EnvBase:
@@ -100,6 +105,9 @@ class TransitionCollector:
             policies = population.join(policies)
             make_env = partial(_env_with_draws, make_env, population.num_groups)
         self._policies = dict(policies)
+        if self._recurrent:
+            groups = [policy.group for policy in self._recurrent]
+            make_env = partial(_env_with_begins, make_env, groups)
         self.fill_places()
         self._policy = JointPolicy(self._policies.values())
         most = conf.episodes_per_worker
@@ -120,6 +128,8 @@ class TransitionCollector:
                 for policy in self._with_past:
                     if policy.group in state["opponents"]:
                         policy.resume_episodes(state["opponents"][policy.group])
+                for recurrent in self._recurrent:
+                    recurrent.memory = state["memories"][recurrent.group]
             self._monitor = WorkerMonitor(())
             return
         factories = [
@@ -178,7 +188,13 @@ class TransitionCollector:
         if self._env is None:
             return None
         opponents = {policy.group: policy.episodes() for policy in self._with_past}
-        return {"scenes": self._env.state(), "opponents": opponents}
+        memories = {policy.group: policy.memory for policy in self._recurrent}
+        return {"scenes": self._env.state(), "opponents": opponents, "memories": memories}
+
+    @property
+    def _recurrent(self) -> list[GroupPolicy]:
+        policies = self._policies.values()
+        return [policy for policy in policies if isinstance(policy, GroupPolicy) and policy.is_recurrent]
 
     @property
     def _with_past(self) -> list[PopulationPolicy]:

@@ -145,6 +145,8 @@ class PeriodicEvaluation:
         self._learners = learners
         # Evaluations act on the CPU, whatever device learns.
         self._policies = {group: learner.make_policy() for group, learner in learners.items()}
+        for policy in self._policies.values():
+            policy.watch(env)
         self._policy = Deterministic(JointPolicy(self._policies.values()))
         self._best_score = -float("inf")
         self._evaluated_at = -1

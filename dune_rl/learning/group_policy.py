@@ -6,8 +6,12 @@ from typing import Protocol
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from dune_rl.core.errors import ConfigError
+from dune_rl.learning.networks.policy import BEGINS, MEMORY
 from dune_rl.learning.policy_spec import PolicySpec
 
 
@@ -22,6 +26,10 @@ class GroupPolicy(TensorDictModuleBase):
 
     `network` maps the entries of (group, "observation"), batch size (..., G), to
     those in `outputs`, "action" (..., G, A) among them, which are written under `group`.
+
+    A recurrent network's memory is kept here from call to call, and written under `group` as it was before
+    the step. It is emptied where an agent's episode begins: (`group`, `BEGINS`) of the observation, which
+    `EpisodeBegins` adds, or what `watch` reads.
     """
 
     def __init__(
@@ -37,13 +45,49 @@ class GroupPolicy(TensorDictModuleBase):
         self._outputs = tuple(outputs)
         self.in_keys = [(group, "observation", key) for key in spec.keys]
         self.out_keys = [(group, key) for key in self._outputs]
+        # Networks of others state no inputs beside the observation.
+        self.is_recurrent = MEMORY in network.in_keys
+        self.memory: Tensor | None = None
+        self._env: EnvBase | None = None
+        if self.is_recurrent:
+            self.out_keys.append((group, MEMORY))
 
     def forward(self, observation: TensorDictBase) -> TensorDictBase:
         # A shallow copy, so that what the network writes in between does not become an observation.
-        result = self.network(observation.get((self.group, "observation")).copy())
+        parts = observation.get((self.group, "observation")).copy()
+        if self.is_recurrent:
+            begins = self._begins(observation)
+            parts.set(BEGINS, begins)
+            if self.memory is not None and self.memory.shape[:-2] == parts.batch_size:
+                parts.set(MEMORY, torch.where(begins.unsqueeze(-1), 0.0, self.memory))
+        result = self.network(parts)
         for key in self._outputs:
             observation.set((self.group, key), result.get(key))
+        if self.is_recurrent:
+            after = result.get(("next", MEMORY))
+            observation.set((self.group, MEMORY), result.get(MEMORY, torch.zeros_like(after)))
+            self.memory = after.detach()
         return observation
+
+    def watch(self, env: EnvBase) -> None:
+        """Take from `env`, which must run in this process, where episodes begin."""
+        self._env = env
+
+    def _begins(self, observation: TensorDictBase) -> Tensor:
+        begins: Tensor | None = observation.get((self.group, BEGINS), None)
+        if begins is not None:
+            return begins
+        if self._env is None:
+            raise ConfigError(
+                f"the policy of {self.group} is recurrent and cannot tell where episodes begin; append "
+                "dune_rl.learning.episode_begins.EpisodeBegins to the environment"
+            )
+        return read_begins(self._env, self.group)
+
+
+def read_begins(env: EnvBase, group: str) -> Tensor:
+    """Whether no step of their episode has been made yet by the agents of `group`, bool (M, G, 1)."""
+    return torch.from_numpy(env.episode_begins(group)).unsqueeze(-1)
 
 
 class JointPolicy(TensorDictModuleBase):

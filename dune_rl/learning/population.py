@@ -10,6 +10,7 @@ from torch import Tensor
 from torchrl.data import TensorSpec, Unbounded
 from torchrl.envs.transforms import Transform
 
+from dune_rl.core.errors import ConfigError
 from dune_rl.learning.algorithm import Algorithm
 from dune_rl.learning.group_policy import PAST, Deterministic, GroupPolicy
 from dune_rl.learning.settings import PopulationConf
@@ -188,6 +189,17 @@ class Population:
 
 
 def make_population(conf: PopulationConf, learners: Mapping[str, Algorithm]) -> Population | None:
-    """The population of the groups that learn; None without one, and where a group has no others to meet."""
+    """The population of the groups that learn; None without one, and where a group has no others to meet.
+
+    Raises ConfigError where a policy is recurrent.
+    """
     learning = {group: each for group, each in learners.items() if each.learns}
-    return Population(conf, learning) if conf.probability and len(learning) > 1 else None
+    if not conf.probability or len(learning) == 1:
+        return None
+    for group, learner in learning.items():
+        if learner.policy.is_recurrent:
+            raise ConfigError(
+                f"learning.population.probability: the policy of {group} is recurrent, and past policies "
+                "have no memory; set it to 0, or learning.recurrent=0"
+            )
+    return Population(conf, learning)

@@ -109,6 +109,8 @@ def load_policy(
         for group, spec in specs.items()
     }
     policies = [GroupPolicy(group, one.spec, one.make_network()) for group, one in saved.items()]
+    for policy in policies:
+        policy.watch(env)
     return Deterministic(JointPolicy(policies)), content["config"]
 
 

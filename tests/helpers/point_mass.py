@@ -222,6 +222,11 @@ class PointMass(EnvBase):
         """The seed and the ids (M,) of the present episodes."""
         return self._seed, self._id
 
+    def episode_begins(self, group: str) -> np.ndarray:
+        """Whether no step has been made yet, (M, G)."""
+        begins = np.array([not trace for trace in self._trace])
+        return np.repeat(begins[:, None], len(self.group_map[group]), 1)
+
     def rest_scenes(self, mask: torch.Tensor) -> None:
         """A point that is done stands still by itself."""
 

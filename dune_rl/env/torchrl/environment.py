@@ -154,6 +154,12 @@ class DuneEnv(CopiedByReplay, EnvBase):
         """The seed and the ids (M,) of the present episodes."""
         return self._simulation.seed, self._simulation.episodes.copy()
 
+    def episode_begins(self, group: str) -> Flags:
+        """Whether agents of `group` have not acted yet in their present episodes, (M, G)."""
+        simulation = self._simulation
+        steps = simulation.state.groups[group].episode.steps
+        return (steps < simulation.physics.action_repeat).reshape(simulation.num_scenes, -1)
+
     # -- packing ----------------------------------------------------------------------------------
 
     def _pack(self, steps: dict[str, GroupStep] | None, terminated: Flags, truncated: Flags) -> TensorDict:

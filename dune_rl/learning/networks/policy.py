@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import Tensor, nn
-from torchrl.modules import ProbabilisticActor, TanhNormal
+from torchrl.modules import GRUModule, ProbabilisticActor, TanhNormal
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.suggestions import advise
@@ -25,7 +25,8 @@ _SHORTEST_SCAN = 8
 class Architecture:
     """Sizes of the networks, beside those of the spec: the settings of `learning` of the same names.
 
-    `networks` has the settings of encoders, as plain data, by the part of the observation.
+    `networks` has the settings of encoders, as plain data, by the part of the observation. `recurrent` are
+    the units of a GRU behind the features; 0: none.
     """
 
     hidden: tuple[int, ...]
@@ -34,6 +35,7 @@ class Architecture:
     image_channels: tuple[int, ...] = (16, 32, 32)
     image_features: int = 64
     networks: Mapping[str, Any] = field(default_factory=dict)
+    recurrent: int = 0
 
     @classmethod
     def of(cls, conf: NetworkConf) -> "Architecture":
@@ -196,6 +198,8 @@ def _check_names(spec: PolicySpec, named: Mapping[str, Any]) -> None:
 
 
 FEATURES = "features"
+# What a recurrent network remembers (..., 1, units), and where it begins anew (..., 1), bool.
+MEMORY, BEGINS = "memory", "is_init"
 _LOG_SCALE_MIN, _LOG_SCALE_MAX = -5.0, 2.0
 # Of the usual weights of the last layer, where a policy is to begin with the same action everywhere.
 _SMALL = 0.01
@@ -238,12 +242,17 @@ def make_policy_network(
 ) -> TensorDictSequential:
     """From the observation's parts to "action": features, then a tanh-normal over the action's bounds.
 
-    Its first module holds the normaliser and the encoder, its second is the actor that a loss takes.
+    Its first module holds the normaliser and the encoder, its last is the actor that a loss takes. A
+    recurrent network has a GRU between them, which also reads `MEMORY` and `BEGINS` and writes
+    ("next", `MEMORY`).
     """
     features = Features(spec, architecture)
+    units = architecture.recurrent
     actor = ProbabilisticActor(
         module=TensorDictModule(
-            Actor(spec, features.size, architecture.hidden), in_keys=[FEATURES], out_keys=["loc", "scale"]
+            Actor(spec, units or features.size, architecture.hidden),
+            in_keys=[FEATURES],
+            out_keys=["loc", "scale"],
         ),
         in_keys=["loc", "scale"],
         distribution_class=TanhNormal,
@@ -253,4 +262,13 @@ def make_policy_network(
         },
     )
     encoder = TensorDictModule(features, in_keys=spec.keys, out_keys=[FEATURES])
-    return TensorDictSequential(encoder, actor).to(device)
+    if not units:
+        return TensorDictSequential(encoder, actor).to(device)
+    memory = GRUModule(
+        features.size,
+        units,
+        in_keys=[FEATURES, MEMORY, BEGINS],
+        out_keys=[FEATURES, ("next", MEMORY)],
+        device=device,
+    )
+    return TensorDictSequential(encoder, memory, actor).to(device)

@@ -1,18 +1,27 @@
 """Proximal policy optimisation as a learner of one agent group."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
+from torchrl.modules import GRUModule, set_recurrent_mode
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
 from dune_rl.learning.algorithm import Algorithm, LearnerContext
 from dune_rl.learning.group_policy import GroupPolicy
-from dune_rl.learning.networks.policy import FEATURES, Architecture, Features, perceptron
+from dune_rl.learning.networks.policy import (
+    BEGINS,
+    FEATURES,
+    MEMORY,
+    Architecture,
+    Features,
+    perceptron,
+)
 from dune_rl.learning.policy_spec import PackedObservation
 from dune_rl.learning.ppo.settings import PpoConf
 
@@ -30,13 +39,15 @@ class Ppo(Algorithm):
 
     def __init__(self, context: LearnerContext, conf: PpoConf) -> None:
         self._conf = conf
-        self.architecture = Architecture.of(conf)
+        self.architecture = replace(Architecture.of(conf), recurrent=conf.recurrent)
         super().__init__(context)
         network = self.policy.network
         self._actor = network[-1]
         self._actor[0].module.set_noise(conf.initial_scale)
         self._features: Features = network[0].module
-        self._critic = perceptron(self._features.size, conf.hidden, 1).to(context.device)
+        # A GRU's first layer is its only one, so that what it gives is what it remembers.
+        self._memory: GRUModule | None = network[1] if conf.recurrent else None
+        self._critic = perceptron(conf.recurrent or self._features.size, conf.hidden, 1).to(context.device)
         self.loss = ClipPPOLoss(
             self._actor,
             TensorDictModule(self._critic, in_keys=[FEATURES], out_keys=[_VALUE]),
@@ -51,8 +62,8 @@ class Ppo(Algorithm):
         )
         self._parameters = [
             parameter
-            for module in (self.loss, self._features)
-            for parameter in module.parameters()
+            for module in (self.loss, self._features, self._memory)
+            for parameter in (() if module is None else module.parameters())
             if parameter.requires_grad
         ]
         self.optimiser = torch.optim.Adam(self._parameters, lr=conf.learning_rate, fused=True)
@@ -72,7 +83,7 @@ class Ppo(Algorithm):
         kept = TensorDict(
             {
                 **now._asdict(),
-                **batch.select("action", "loc", "scale").to_dict(),
+                **batch.select("action", "loc", "scale", MEMORY, BEGINS, strict=False).to_dict(),
                 _VALID: ~batch.get("done"),
                 "next": TensorDict(
                     {
@@ -105,8 +116,8 @@ class Ppo(Algorithm):
 
     def _learn(self, batch: TensorDict) -> dict[str, float]:
         self._evaluate_batch(batch)
-        # Steps first, with all agents of a scene side by side.
-        rows = batch.permute(0, 2, 1).flatten(0, 1)
+        # Of a recurrent policy the sequences (M, G, T) of scenes, of others single steps (M * T, G).
+        rows = batch if self._memory is not None else batch.permute(0, 2, 1).flatten(0, 1)
         pieces = max(1, min(len(rows), round(batch.numel() / self._conf.batch_size)))
         totals: dict[str, Tensor] = {}
         count = 0
@@ -125,17 +136,40 @@ class Ppo(Algorithm):
     def _evaluate_batch(self, batch: TensorDict) -> None:
         """Add the probabilities of the actions, and advantages and returns, to the batch (M, G, T)."""
         batch["action_log_prob"] = self._actor[-1].get_dist(batch).log_prob(batch["action"])
-        for part in (batch, batch["next"]):
-            part[_VALUE] = self._critic(self._encode(part))
+        features = self._encode(batch)
+        batch[_VALUE] = self._critic(features)
+        batch["next", _VALUE] = self._critic(self._encode_next(batch, features))
         valid = batch.pop(_VALID)
         self._advantage(batch, time_dim=2)
         batch[_VALID] = valid
 
     def _encode(self, rows: TensorDictBase) -> Tensor:
-        return self._features.encode(PackedObservation(rows["floats"], rows["octets"]))
+        """What actor and critic read in `rows`, which are sequences for a recurrent policy."""
+        features = self._features.encode(PackedObservation(rows["floats"], rows["octets"]))
+        if self._memory is None:
+            return features
+        with set_recurrent_mode(True):
+            read = TensorDict(
+                {FEATURES: features, MEMORY: rows[MEMORY], BEGINS: rows[BEGINS]}, rows.batch_size
+            )
+            remembered: Tensor = self._memory(read)[FEATURES]
+        return remembered
+
+    def _encode_next(self, batch: TensorDict, features: Tensor) -> Tensor:
+        """The same after each step of the batch (M, G, T), before any reset, from `features` at the steps."""
+        after = batch["next"]
+        later = self._features.encode(PackedObservation(after["floats"], after["octets"]))
+        if self._memory is None:
+            return later
+        read = TensorDict(
+            {FEATURES: later, MEMORY: features.unsqueeze(-2), BEGINS: torch.zeros_like(batch[BEGINS])},
+            batch.batch_size,
+        )
+        remembered: Tensor = self._memory(read)[FEATURES]
+        return remembered
 
     def _step(self, rows: TensorDict) -> dict[str, Tensor]:
-        """One gradient step from `rows` (n, G)."""
+        """One gradient step from `rows` (n, G), or (n, G, T)."""
         rows = rows.copy().set(FEATURES, self._encode(rows))
         losses = self.loss(rows)
         self.optimiser.zero_grad()
