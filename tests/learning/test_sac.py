@@ -12,8 +12,10 @@ from training import make_sac
 
 from dune_rl.learning.collector import TransitionCollector
 from dune_rl.learning.group_policy import GroupPolicy, agent_sequences, select_group
+from dune_rl.learning.networks.encoders import CircularConvolution
 from dune_rl.learning.networks.policy import Architecture, Normaliser, make_policy_network
 from dune_rl.learning.policy_spec import PolicySpec
+from dune_rl.learning.sac.gradient_step import evaluate_critics
 from dune_rl.learning.sac.replay import Replay, TransitionCodec, multi_step
 from dune_rl.learning.sac.settings import ReplayConf
 from dune_rl.learning.settings import CollectorConf
@@ -134,3 +136,37 @@ def test_half_precision_updates_stay_close(tmp_path: Path) -> None:
         losses.append(sac._learn([torch.randn(256, sac._codec.width)])["loss/critic"])
     assert losses[0] != losses[1]
     assert losses[1] == pytest.approx(losses[0], rel=0.05)
+
+
+def test_both_critics_at_once_are_each_by_itself(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    step = make_sac(SPEC, tmp_path, hidden=(8, 8))._step
+    size = step.loss.qvalue_network.module.body[0].in_features - SPEC.action_size
+    batch = TensorDict({"features": torch.randn(5, size), "action": torch.randn(5, SPEC.action_size)}, [5])
+    found = evaluate_critics(batch, step.loss.qvalue_network_params)["state_action_value"]
+    for number, value in enumerate(found):
+        with step.loss.qvalue_network_params[number].to_module(step.loss.qvalue_network):
+            alone = step.loss.qvalue_network(batch.clone())["state_action_value"]
+        torch.testing.assert_close(value, alone)
+    assert not torch.allclose(*found)
+    # TorchRL calls it: where it no longer does, an update is slower.
+    assert step.loss._vmap_qnetworkN0 is evaluate_critics
+
+
+@pytest.mark.parametrize(("scans", "length", "stride"), [(2, 32, 2), (6, 9, 1), (1, 11, 2)])
+def test_a_convolution_by_its_matrix_is_a_convolution(scans: int, length: int, stride: int) -> None:
+    torch.manual_seed(0)
+    convolution = CircularConvolution(scans, 3, stride, length)
+    read = torch.randn(200, scans, length, requires_grad=True)
+    expected = torch.nn.Conv1d.forward(convolution, read)
+    found = convolution(read)
+    torch.testing.assert_close(found, expected)
+    weight = torch.randn_like(expected)
+    of = (read, convolution.weight, convolution.bias)
+    for one, two in zip(
+        torch.autograd.grad((found * weight).sum(), of),
+        torch.autograd.grad((expected * weight).sum(), of),
+        strict=True,
+    ):
+        torch.testing.assert_close(one, two, atol=1e-4, rtol=1e-4)
+    assert set(convolution.state_dict()) == {"weight", "bias"}

@@ -10,6 +10,9 @@ from dune_rl.learning.policy_spec import PartSpec
 from dune_rl.learning.settings import Width
 
 _KERNEL, _STRIDE = 5, 2
+# Least number of scans, and in half precision most elements of the matrix, for which a convolution is a
+# product with a matrix. Fewer scans are of scenes: whoever acts does so in the same way as ever.
+_MINIBATCH, _MOST_ELEMENTS = 128, 2**18
 # Bytes up to this are classes (of a segmentation), not brightness.
 _MOST_CLASSES = 15
 # The last stage's picture is at most this high and wide.
@@ -24,6 +27,43 @@ class VectorEncoder(nn.Flatten):
         self.size = part.size
 
 
+class CircularConvolution(nn.Conv1d):
+    """Convolution round circles (k, C, `length`): (k, channels, n).
+
+    Minibatches of an update are multiplied by the matrix of the convolution instead, where that is faster:
+    the gradient of a convolution with few channels takes several times as long as its products need.
+    """
+
+    _places: Tensor
+
+    def __init__(self, n_in: int, channels: int, stride: int, length: int) -> None:
+        super().__init__(n_in, channels, _KERNEL, stride, padding=_KERNEL // 2, padding_mode="circular")
+        starts = torch.arange(0, length, stride) - _KERNEL // 2
+        self.register_buffer("_places", (starts[:, None] + torch.arange(_KERNEL)) % length, persistent=False)
+        self._length = length
+        self._matrix_size = channels * len(starts) * n_in * length
+
+    def forward(self, scans: Tensor) -> Tensor:
+        if len(scans) < _MINIBATCH or self._matrix_size > self._most_elements(scans):
+            return super().forward(scans)
+        shape = (self.out_channels, len(self._places), self.in_channels)
+        matrix = self.weight.new_zeros(*shape, self._length).scatter_add(
+            -1,
+            self._places[None, :, None].expand(*shape, _KERNEL),
+            self.weight[:, None].expand(*shape, _KERNEL),
+        )
+        assert self.bias is not None
+        bias = self.bias.repeat_interleave(shape[1])
+        values = nn.functional.linear(scans.flatten(1), matrix.flatten(2).flatten(0, 1), bias)
+        return values.unflatten(1, shape[:2])
+
+    def _most_elements(self, scans: Tensor) -> int:
+        """Size of the matrix up to which it is faster, as measured on a CPU; on a GPU the convolution is."""
+        if scans.device.type != "cpu":
+            return 0
+        return _MOST_ELEMENTS if torch.is_autocast_enabled("cpu") else _MOST_ELEMENTS // 4
+
+
 class ScanEncoder(nn.Sequential):
     """Convolutions round a scan (..., n): a return means the same in whatever direction it lies.
 
@@ -32,12 +72,14 @@ class ScanEncoder(nn.Sequential):
     """
 
     def __init__(self, part: PartSpec, channels: Annotated[int, Field(ge=1, le=1024)] = 8) -> None:
-        def convolution(n_in: int, stride: int) -> nn.Conv1d:
-            return nn.Conv1d(n_in, channels, _KERNEL, stride, padding=_KERNEL // 2, padding_mode="circular")
-
         length = part.shape[-1]
         scans = part.size // length
-        super().__init__(convolution(scans, 1), nn.ReLU(), convolution(channels, _STRIDE), nn.ReLU())
+        super().__init__(
+            CircularConvolution(scans, channels, 1, length),
+            nn.ReLU(),
+            CircularConvolution(channels, channels, _STRIDE, length),
+            nn.ReLU(),
+        )
         self._scans, self._axes = (scans, length), len(part.shape)
         self.size = channels * -(-length // _STRIDE)
 
