@@ -15,7 +15,10 @@ _ROBOT_REWARDS = {
     **{name: name for name in ("blocking", "closing_in", "robot_progress")},
     **{"hit_by_robot": "HitByRobot", "ran_into_robot": "RanIntoRobot"},
 }
-_REWARDS = ["collision", "contact", "distance", "ended_by", "heading", "near_miss", "progress", "velocity"]
+_REWARDS = [
+    *("collision", "contact", "distance", "ended_by", "heading", "near_miss", "progress", "smoothness"),
+    "velocity",
+]
 _TERMINATIONS = {
     **{name: name for name in ("flipped", "goal_reached", "out_of_world", "time_limit")},
     **{"long_collision": "LongCollision", "stuck": "Stuck"},

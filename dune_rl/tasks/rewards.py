@@ -74,6 +74,16 @@ def progress(state: State, group: GroupState) -> Array:
     return group.goal.previous_distance - group.goal.distance
 
 
+def smoothness(state: State, group: GroupState) -> Array:
+    """Size of the acceleration [m/s²] plus that of the angular velocity [rad/s], whose mean is TSR.
+
+    Smaller values are smoother: take a negative weight. Gravity is left out.
+    """
+    motion = group.motion
+    found: Array = np.linalg.norm(motion.acceleration_b, axis=1) + np.linalg.norm(motion.angular_b, axis=1)
+    return found
+
+
 def near_miss(
     state: State,
     group: GroupState,

@@ -153,3 +153,12 @@ def test_near_miss_is_to_the_nearest_of_all_other_groups() -> None:
 
 def test_near_miss_alone_is_nothing() -> None:
     assert near_miss(agents(4, count=2, name="walker")).tolist() == [0.0] * 4
+
+
+# -- smoothness ------------------------------------------------------------------------------------
+
+
+def test_smoothness_is_the_size_of_acceleration_and_turning() -> None:
+    group = agents(acceleration_b=(3.0, 0.0, -4.0), angular_b=(0.0, 0.6, 0.8), velocity_b=(1.0, 0.0, 0.0))
+    assert value(rewards.smoothness, group) == pytest.approx([5.0 + 1.0])
+    assert value(rewards.smoothness, agents(velocity_b=(1.0, 0.0, 0.0))) == [0.0]
