@@ -115,9 +115,9 @@ def sensor_settings() -> Section:
 
 
 def environment_settings() -> Section:
-    """`agents`, and `robots`, which writes into it: what chooses the agents of a scene."""
+    """`agents`, `robots`, which writes into it, and `shield`: what the agents of a scene are."""
     comments = read_comments("environment")
-    section = read_section(EnvConf, "", comments, only=frozenset({"agents"}))
+    section = read_section(EnvConf, "", comments, only=frozenset({"agents", "shield"}))
     section.settings.append(Setting("robots", "`null`", "list of robots, or `null`", comments["robots"]))
     return section
 

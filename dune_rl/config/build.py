@@ -121,6 +121,9 @@ def group_setups(conf: EnvConf) -> list[GroupSetup]:
             presence=group.presence,
             settings=conf.path_of(group.name),
             places=_places_of(group.controller),
+            is_shielded=conf.shield == "brake"
+            and not isinstance(group.body, BodySettings)
+            and group.sensors is not None,
         )
         for group in conf.groups
     ]

@@ -43,6 +43,9 @@ class EnvConf(Settings):
     task: TaskConf = TaskConf()
     metrics: MetricsConf = MetricsConf()
     randomisation: RandomisationConf = RandomisationConf()
+    shield: Literal["none", "brake"] = Field(
+        "none", description="brake: robots brake or turn before what their LiDAR sees"
+    )
 
     @model_validator(mode="before")
     @classmethod

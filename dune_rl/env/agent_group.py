@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dune_rl.behaviours.drivers.context import DriverContext
+from dune_rl.behaviours.drivers.shield import Shield
 from dune_rl.behaviours.paths.follower import PathConf
 from dune_rl.bodies.settings import BodySettings
 from dune_rl.core.errors import ConfigError
@@ -54,6 +55,7 @@ class GroupSetup:
     not, and has no `controller`, is external: its actions come from a user or a learner. A group without
     `task` has rewards of 0 and never ends an episode. With `presence` its agents come and go. `settings` is
     the path of its settings, for errors. `places` (P, 2) [m] are those to which the controller is told to go.
+    With `is_shielded`, commands that would touch what the LiDAR sees are braked or turned (`Shield`).
     """
 
     name: str
@@ -68,6 +70,7 @@ class GroupSetup:
     presence: PresenceConf | None = None
     settings: str = ""
     places: tuple[tuple[float, float], ...] = ()
+    is_shielded: bool = False
 
     @property
     def is_external(self) -> bool:
@@ -129,6 +132,7 @@ class AgentGroup:
         self.num_rows = num_rows
         self.scanner: ScanQueries | None = None
         self.controller: Controller | None = None
+        self._shield: Shield | None = None
         self._ends: Endings | None = None
         self._arrived = np.zeros(num_rows, bool)
 
@@ -154,6 +158,9 @@ class AgentGroup:
         self.body.reads_joints = any(reader is not None and reader.needs_joints for reader in readers)
         if self.setup.controller is not None:
             self.controller = self.setup.controller(self)
+        if self.setup.is_shielded:
+            self._shield = Shield(self.num_rows)
+            self.bind(self._shield, "shield=brake")
 
     def bind(self, behaviour: object, name: str) -> None:
         """Bind a behaviour to the group if it wants that; raises ConfigError if it cannot drive here."""
@@ -230,6 +237,8 @@ class AgentGroup:
             self.suite.begin(mask, now, state)
         if self.controller is not None:
             self.controller.reset(mask, now)
+        if self._shield is not None:
+            self._shield.reset(mask)
 
     # -- the phases of a control step -------------------------------------------------------------
 
@@ -258,6 +267,9 @@ class AgentGroup:
             actions = np.where(self.done[:, None], rest, actions)
         if not self.setup.is_scripted:
             self.last_action = self._normalized(actions)
+        if self._shield is not None:
+            checked = self._shield.check(actions, now.episode.step_s)
+            actions = np.where(self.done[:, None], actions, checked)
         known = now.motion if self.suite is None else self.suite.controller_motion(now)
         self.body.command(actions, known)
 
