@@ -16,7 +16,7 @@ def _one_or_several(names: object) -> object:
 
 BenchmarkPart = Literal[
     "environment", "cameras", "sensors", "terrain", "new_world", "groups", "actors", "processes", "engines",
-    "world_memory",
+    "world_memory", "learning",
 ]  # fmt: skip
 
 
@@ -24,13 +24,14 @@ class BenchmarkConf(EnvConf):
     """A measurement of what a step costs."""
 
     parts: tuple[BenchmarkPart, ...] = tuple(
-        part for part in get_args(BenchmarkPart) if part not in ("world_memory", "engines")
+        part for part in get_args(BenchmarkPart) if part not in ("world_memory", "engines", "learning")
     )
     scenes: int = Field(16, ge=1, le=8_192)
     rounds: int = Field(9, ge=1)
     steps: int = Field(60, ge=1)
     worlds: int = Field(500, ge=1)
     processes: tuple[Annotated[int, Field(ge=1)], ...] = (1, 2)
+    algorithms: tuple[str, ...] = ("sac",)
     seed: int = Field(0, ge=0)
 
 

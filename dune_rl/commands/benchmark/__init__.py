@@ -10,6 +10,7 @@ from typing import Any
 
 from dune_rl.commands import command_line
 from dune_rl.commands.benchmark import parts
+from dune_rl.commands.benchmark.learning import measure_learning
 from dune_rl.commands.benchmark.sensors import measure_sensors
 from dune_rl.config.commands import BenchmarkConf
 from dune_rl.config.compose import compose
@@ -26,7 +27,7 @@ _MEASURES: Mapping[str, Callable[[BenchmarkConf], Mapping[str, Any]]] = {
     "engines": parts.measure_engines,
 }
 # Parts that replace the agent groups of the settings, or have none.
-_WITHOUT_GROUPS = ("terrain", "groups", "actors", "processes")
+_WITHOUT_GROUPS = ("terrain", "groups", "actors", "processes", "learning")
 
 
 def run(words: Sequence[str]) -> None:
@@ -37,6 +38,8 @@ def run(words: Sequence[str]) -> None:
             _emit(part, conf, measure(conf))
     for processes in conf.processes if "processes" in conf.parts else ():
         _emit("processes", conf, parts.measure_processes(conf, processes))
+    for algorithm in conf.algorithms if "learning" in conf.parts else ():
+        _emit("learning", conf, measure_learning(conf, algorithm))
 
 
 def _emit(part: str, conf: BenchmarkConf, found: Mapping[str, Any]) -> None:
