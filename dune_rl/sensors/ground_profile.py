@@ -5,12 +5,12 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from dune_rl.geometry.arrays import Floats
+from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.sensors.beams import Beams, Elevation, FieldOfView, LargestRange, check_elevations, fan
 from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.realism.noise import NoiseConf
 from dune_rl.sensors.realism.pipeline import ReadingRealismConf
-from dune_rl.sensors.sensor import MOUNT, Mount, VectorSensor
+from dune_rl.sensors.sensor import MOUNT, Mount, VectorSensor, mount_position
 from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.state import GroupState, State
 
@@ -18,7 +18,7 @@ from dune_rl.state.state import GroupState, State
 class GroundProfileConf(SensorSettings):
     """Columns side by side over `fov_deg`, each a fan of `rows` rays between two elevations.
 
-    From a mount 0.33 m over level ground, the rays of the default elevations end on it 0.5 to 2.2 m ahead.
+    From a mount 0.33 m over level ground, the rays of the default elevations end on it 0.4 to 2.2 m ahead.
     """
 
     from_carrier: ClassVar = {"mount_b": "scanner_b", "standing_height_m": "standing_height_m"}
@@ -26,10 +26,10 @@ class GroundProfileConf(SensorSettings):
     default_realism: ClassVar = ReadingRealismConf(each=NoiseConf(noise=0.02))
 
     sensor: Literal["ground_profile"] = "ground_profile"
-    columns: int = Field(15, ge=1, le=256, description="bearings of rays")
-    rows: int = Field(6, ge=1, le=256, description="rays of a fan")
-    fov_deg: FieldOfView = 110.0
-    lowest_elevation_deg: Elevation = Field(-34.0, description="of a fan [deg]")
+    columns: int = Field(21, ge=1, le=256, description="bearings of rays")
+    rows: int = Field(7, ge=1, le=256, description="rays of a fan")
+    fov_deg: FieldOfView = 130.0
+    lowest_elevation_deg: Elevation = Field(-40.0, description="of a fan [deg]")
     highest_elevation_deg: Elevation = Field(-8.5, description="of a fan [deg]")
     range_m: LargestRange = 4.0
     limit_m: float = Field(0.5, gt=0.0, le=100.0, description="readings are clipped to this either way [m]")
@@ -50,6 +50,9 @@ class GroundProfile(VectorSensor):
     Rows run from the lowest rays to the highest, columns counter-clockwise. Heights are vertical, by the
     robot's attitude, over the level plane `standing_height_m` below its origin, so that level ground reads 0.
     A ray that meets nothing reads the lower limit, as beyond an edge. Moving actors are seen.
+
+    `points` (N, P, 3) are the hits [m], forward, left and up of the robot's ground in its level frame, and
+    `sees` (N, P) tells which rays have one; `pitch_sine` (N,) is the sine of the climb of the robot's axis.
     """
 
     def __init__(self, name: str, context: SensorContext, conf: GroundProfileConf) -> None:
@@ -59,6 +62,10 @@ class GroundProfile(VectorSensor):
         bearing = np.deg2rad(conf.fov_deg) * ((np.arange(conf.columns) + 0.5) / conf.columns - 0.5)
         lowest, highest_up = np.deg2rad([conf.lowest_elevation_deg, conf.highest_elevation_deg])
         elevation = np.linspace(lowest, highest_up, conf.rows)
+        self._mount_b = mount_position(conf.mount_b)
+        self.points = np.zeros((context.num_rows, conf.rows * conf.columns, 3))
+        self.sees = np.zeros(self.points.shape[:2], bool)
+        self.pitch_sine = np.zeros(context.num_rows)
         self._beams = Beams(
             fan(bearing, elevation).reshape(-1, 3), conf.mount_b, conf.range_m, context.solid, context.meshes
         )
@@ -67,9 +74,19 @@ class GroundProfile(VectorSensor):
         conf, motion = self._conf, now.motion
         ranges: Floats = self._beams.ranges(motion.position_w, motion.rotation, now.neighbours)
         known = motion.rotation if self._navigation is None else self._navigation.rotation
-        # The last row of the rotation gives heights of body-frame vectors.
-        upward = known[:, 2]
-        rise = upward @ self._beams.directions_b.T
-        start = self._beams.origin(np.zeros((len(upward), 3)), known)[:, 2]
-        heights = start[:, None] + ranges * rise + (conf.standing_height_m or 0.0)
-        self._store(np.where(ranges < np.float32(conf.range_m), heights, -conf.limit_m))
+        hits_b = self._mount_b + ranges[..., None] * self._beams.directions_b
+        self.points = hits_b @ _level(known).transpose(0, 2, 1)
+        self.points[..., 2] += conf.standing_height_m or 0.0
+        self.sees = ranges < np.float32(conf.range_m)
+        self.pitch_sine = known[:, 2, 0]
+        self._store(np.where(self.sees, self.points[..., 2], -conf.limit_m))
+
+
+def _level(rotation: Array) -> Array:
+    """Rotations (N, 3, 3) from body frames to level frames with their headings."""
+    cos, sin = rotation[:, 0, 0], rotation[:, 1, 0]
+    length = np.maximum(np.hypot(cos, sin), 1e-9)
+    cos, sin, zero = cos / length, sin / length, np.zeros(len(cos))
+    back = np.stack([cos, sin, zero, -sin, cos, zero, zero, zero, zero + 1.0], axis=-1)
+    found: Array = back.reshape(-1, 3, 3) @ rotation
+    return found

@@ -31,6 +31,7 @@ _OWN = {
     "lidar": "lidar:LidarSensor",
     "lidar_3d": "lidar_3d:Lidar3d",
     "lidar_past": "past_scan:LidarPast",
+    "low_obstacles": "perception.low_obstacles:LowObstacles",
     "nearest_agent": "neighbours:NearestAgent",
     "neighbours": "neighbours:Neighbours",
     "odometry": "wheels:Odometry",

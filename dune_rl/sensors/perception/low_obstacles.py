@@ -1,0 +1,171 @@
+"""The sensor of obstacles below the LiDAR's plane: steps of the ground that were seen, kept by odometry."""
+
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from dune_rl.core.errors import ConfigError
+from dune_rl.geometry.arrays import Flags
+from dune_rl.geometry.compiled import compile_function
+from dune_rl.sensors.context import SensorContext
+from dune_rl.sensors.ground_profile import GroundProfile
+from dune_rl.sensors.perception.agent_tracks import AgentTracks
+from dune_rl.sensors.sensor import VectorSensor
+from dune_rl.sensors.settings import SensorSettings
+from dune_rl.state.state import GroupState, State
+
+_CELL_M = 0.1
+# Cells of a map, which is a torus: a point's cell is that of its coordinates modulo the map's size.
+_CELLS = 80
+# A cell this much above a neighbour within two cells is a step, beyond what slopes of 27 degrees rise.
+_STEP_M = 0.05
+_SLOPE = 0.5
+_REACH = 2
+# A lower height takes the place of a higher one by this share in each look.
+_NEW_SHARE = 0.3
+# Hits this near to the range of a segment that moves are of what moves there.
+_MOVING_M = 0.5
+_NEAREST_M = 0.1
+
+
+class LowObstaclesConf(SensorSettings):
+    """Steps of the ground within `range_m`, from the rays of a sensor ground_profile.
+
+    They are remembered in a map of 8 by 8 m that moves along by odometry.
+    """
+
+    sensor: Literal["low_obstacles"] = "low_obstacles"
+    realism: None = Field(None, description="none of its own: that of what it reads")
+    profile: str = Field("ground_profile", description="name of the sensor whose rays it takes")
+    tracks: str = Field("agent_tracks", description="name of the sensor whose odometry it takes")
+    range_m: float = Field(3.0, gt=0.2, le=3.5, description="reading where there is no step [m]")
+
+
+class LowObstacles(VectorSensor):
+    """The reading `name`, (N, n_segments) [m]: distance of the nearest step in each segment of a scan.
+
+    Steps are where the ground rises by more than 5 cm beyond a slope: stones, bricks, kerbs, walls. Segments
+    and distances are from the LiDAR's mount. Heights are those of the rays' hits, by the robot's attitude
+    and speed readings; what moves in the scan is left out, and a step fades where lower ground is seen.
+    """
+
+    def __init__(self, name: str, context: SensorContext, conf: LowObstaclesConf) -> None:
+        profile, tracks = context.sensor_of(conf.profile), context.sensor_of(conf.tracks)
+        if not isinstance(profile, GroundProfile):
+            raise ConfigError(f"sensors.{name}.profile must be the name of a sensor ground_profile")
+        if not isinstance(tracks, AgentTracks):
+            raise ConfigError(f"sensors.{name}.tracks must be the name of a sensor agent_tracks")
+        farthest = np.full(len(tracks.bearings), conf.range_m)
+        super().__init__(name, context.num_rows, np.full_like(farthest, _NEAREST_M), farthest)
+        self._profile, self._tracks = profile, tracks
+        self._velocity, self._step_s = context.reading_of("velocity"), context.step_s
+        shape = (context.num_rows, _CELLS, _CELLS)
+        # Heights in the frame of the odometry, which cell of the plane each is of, and where steps are.
+        self._heights = np.zeros(shape, np.float32)
+        self._places = np.full((*shape, 2), np.iinfo(np.int32).min, np.int32)
+        self._steps = np.zeros(shape, bool)
+        self._height = np.zeros(context.num_rows)
+
+    def begin(self, mask: Flags, now: GroupState, state: State) -> None:
+        """Begin the maps of the agents in `mask` (N,) anew, with what is seen at the start."""
+        self._places[mask] = np.iinfo(np.int32).min
+        self._steps[mask] = False
+        self._height[mask] = 0.0
+        self._look()
+
+    def measure(self, now: GroupState, state: State) -> None:
+        self._height += self._velocity()[:, 0] * self._profile.pitch_sine * self._step_s
+        self._look()
+
+    def _look(self) -> None:
+        profile, tracks = self._profile, self._tracks
+        found = np.empty((len(self._height), len(tracks.bearings)), np.float32)
+        _update(
+            tracks.tracker.poses, tracks.mount, tracks.bearings, tracks.ranges, tracks.moves, self._height,
+            profile.points, profile.sees, self._heights, self._places, self._steps, self._high[0], found,
+        )  # fmt: skip
+        self._store(found)
+
+
+@compile_function
+def _update(
+    poses: Any, mount: Any, bearings: Any, ranges: Any, moves: Any, height: Any, points: Any, sees: Any,
+    heights: Any, places: Any, steps: Any, farthest: float, found: Any,
+) -> None:  # fmt: skip
+    """Enter hits `points` (N, P, 3) of levelled body frames into maps, and find the nearest steps."""
+    for row in range(len(poses)):
+        _enter(
+            poses[row], mount, bearings, ranges[row], moves[row], height[row], points[row], sees[row],
+            heights[row], places[row], steps[row],
+        )  # fmt: skip
+        _look_around(poses[row], mount, bearings, places[row], steps[row], farthest, found[row])
+
+
+@compile_function
+def _enter(
+    pose: Any, mount: Any, bearings: Any, ranges: Any, moves: Any, height: float, points: Any, sees: Any,
+    heights: Any, places: Any, steps: Any,
+) -> None:  # fmt: skip
+    cos, sin = np.cos(pose[2]), np.sin(pose[2])
+    per_rad, first = len(bearings) / (2.0 * np.pi), bearings[0]
+    for number in range(len(points)):
+        if not sees[number]:
+            continue
+        ahead, left = points[number, 0], points[number, 1]
+        away = np.hypot(ahead - mount[0], left - mount[1])
+        bearing = np.arctan2(left - mount[1], ahead - mount[0])
+        segment = np.int64(np.round((bearing - first) * per_rad)) % len(bearings)
+        if moves[segment] and abs(away - ranges[segment]) < _MOVING_M:
+            continue
+        x = np.int64(np.floor((pose[0] + cos * ahead - sin * left) / _CELL_M))
+        y = np.int64(np.floor((pose[1] + sin * ahead + cos * left) / _CELL_M))
+        z = points[number, 2] + height
+        row, column = y % _CELLS, x % _CELLS
+        if places[row, column, 0] == x and places[row, column, 1] == y:
+            before = heights[row, column]
+            z = max(z, before + _NEW_SHARE * (z - before))
+        places[row, column, 0], places[row, column, 1] = x, y
+        heights[row, column] = z
+        is_step = False
+        for up in range(-_REACH, _REACH + 1):
+            for right in range(-_REACH, _REACH + 1):
+                other, beside = (y + up) % _CELLS, (x + right) % _CELLS
+                if places[other, beside, 0] != x + right or places[other, beside, 1] != y + up:
+                    continue
+                rise = z - heights[other, beside]
+                least = _STEP_M + _SLOPE * _CELL_M * np.hypot(up, right)
+                if rise > least:
+                    is_step = True
+                elif -rise > least:
+                    steps[other, beside] = True
+        steps[row, column] = is_step
+
+
+@compile_function
+def _look_around(
+    pose: Any, mount: Any, bearings: Any, places: Any, steps: Any, farthest: float, found: Any
+) -> None:
+    cos, sin = np.cos(pose[2]), np.sin(pose[2])
+    origin_x = pose[0] + cos * mount[0] - sin * mount[1]
+    origin_y = pose[1] + sin * mount[0] + cos * mount[1]
+    count = len(bearings)
+    per_rad, first = count / (2.0 * np.pi), bearings[0]
+    found[:] = farthest
+    reach = np.int64(np.ceil(farthest / _CELL_M))
+    middle_x, middle_y = np.int64(np.floor(origin_x / _CELL_M)), np.int64(np.floor(origin_y / _CELL_M))
+    for y in range(middle_y - reach, middle_y + reach + 1):
+        for x in range(middle_x - reach, middle_x + reach + 1):
+            row, column = y % _CELLS, x % _CELLS
+            if not steps[row, column] or places[row, column, 0] != x or places[row, column, 1] != y:
+                continue
+            along_x, along_y = (x + 0.5) * _CELL_M - origin_x, (y + 0.5) * _CELL_M - origin_y
+            away = np.hypot(along_x, along_y)
+            if away >= farthest:
+                continue
+            bearing = np.arctan2(along_y, along_x) - pose[2]
+            half = np.arctan2(0.5 * _CELL_M, away)
+            low = np.int64(np.round((bearing - half - first) * per_rad))
+            high = np.int64(np.round((bearing + half - first) * per_rad))
+            for segment in range(low, high + 1):
+                found[segment % count] = min(found[segment % count], away)
