@@ -271,6 +271,24 @@ class Conf(EnvConf):
         return self
 
     @model_validator(mode="after")
+    def _evaluations_have_worlds_of_their_own(self) -> Self:
+        seeds, drawn = self.learning.evaluation.world_seeds, self.randomisation.world_seed
+        if seeds is None:
+            return self
+        setting = f"learning.evaluation.world_seeds=[{seeds[0]},{seeds[1]}]"
+        if "seed" not in type(self.world).model_fields:
+            raise ValueError(f"{setting}: world={self.world.name} has no seed; leave it null")
+        low, high = (self.world.seed, self.world.seed) if drawn is None else drawn.limits
+        if seeds[0] > seeds[1]:
+            raise ValueError(f"{setting}: the first must not be above the second")
+        if seeds[0] <= high and low <= seeds[1]:
+            raise ValueError(
+                f"{setting}: training draws worlds of the seeds {low:g} to {high:g} itself; choose others, "
+                f"such as [{high + 1:g},{high + 1000:g}]"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _episodes_end(self) -> Self:
         self.require_endings()
         return self

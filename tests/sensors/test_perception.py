@@ -80,13 +80,75 @@ def test_ways_lead_round_what_was_seen() -> None:
     simulation.close()
 
 
+GROUND = {**SENSORS, "imu": {}, "ground_profile": {}, "low_obstacles": {}, "imu_6axis": {}}
+
+
+def on_ground(*boxes: Any, heights: Any = None, **settings: Any) -> VectorSimulation:
+    """A rover at (-2, 0) that faces along x, after some steps at rest."""
+    simulation = simulation_on(plain(*boxes, heights=heights), sensors=GROUND, **settings)
+    simulation.reset(requests={0: {"rover_0": AgentRequest((-2.0, 0.0, 0.0), (3.0, 0.0))}})
+    for _ in range(5):
+        act(simulation)
+    return simulation
+
+
+def test_level_ground_has_no_height_and_no_steps() -> None:
+    simulation = on_ground()
+    found = readings(simulation)
+    assert np.abs(found["ground_profile"]).max() < 0.03
+    assert (found["low_obstacles"] == found["low_obstacles"].max()).all()
+    assert found["imu_6axis"].tolist() == found["imu"][:8].tolist()
+    simulation.close()
+
+
+def test_a_brick_below_the_scan_is_a_step_that_is_remembered() -> None:
+    # Its near face is 1.1 m before the LiDAR's mount, which is 0.17 m before the rover's origin.
+    brick = box(-2.0 + 0.174 + 1.2, 0.0, 0.2, 0.5, 0.15)
+    simulation = on_ground(brick, task={"terminations": {}})
+    found = readings(simulation)
+    ahead = slice(29, 35)
+    assert found["lidar"][ahead].min() > 3.0
+    assert found["low_obstacles"][ahead].min() == pytest.approx(1.15, abs=0.15)
+    assert np.count_nonzero(found["low_obstacles"][ahead] < 3.0) >= 2
+    assert (found["low_obstacles"][[0, 16, 48]] == 3.0).all()
+    assert found["ground_profile"].max() == pytest.approx(0.15, abs=0.03)
+    # Turned to the left, the rover no longer sees the brick, and knows where it is: to its right.
+    for _ in range(60):
+        bearing = float(simulation.state.groups["rover"].motion.yaw[0])
+        act(simulation, [0.0, np.clip(np.pi / 2 - bearing, -0.7, 0.7)])
+    found = readings(simulation)
+    assert found["ground_profile"].max() < 0.05
+    yaw = float(simulation.state.groups["rover"].motion.yaw[0])
+    bearing = np.arctan2(-0.174 * np.sin(yaw), 1.374 - 0.174 * np.cos(yaw)) - yaw
+    segment = round((bearing + np.pi) / (2 * np.pi) * 64 - 0.5) % 64
+    distance = np.hypot(1.374 - 0.174 * np.cos(yaw), 0.174 * np.sin(yaw))
+    assert found["low_obstacles"][segment - 1 : segment + 2].min() == pytest.approx(distance, abs=0.3)
+    simulation.close()
+
+
+def test_a_slope_has_no_steps_and_walkers_leave_none() -> None:
+    slope = np.broadcast_to(np.linspace(-2.0, 2.0, 11), (11, 11)).copy()
+    simulation = on_ground(heights=slope)
+    for _ in range(20):
+        act(simulation, [0.3, 0.0])
+    assert (readings(simulation)["low_obstacles"] == 3.0).all()
+    simulation.close()
+    simulation = on_ground(actors={"walker": {**WALKER, "count": 1}})
+    put_walkers(simulation, [[0.0, 1.2, 0.0, -np.pi / 2]])
+    for _ in range(60):
+        simulation.step({"rover": np.zeros((1, 1, 2)), "walker": np.array([[[1.0, 0.0]]])})
+    # A trace of where the walker was before it had a track may be left; nothing of where it is and goes.
+    assert np.count_nonzero(readings(simulation)["low_obstacles"] < 3.0) <= 8
+    simulation.close()
+
+
 def test_readings_depend_on_no_other_scene() -> None:
     found = {}
     for scenes in (1, 3):
         simulation = started_simulation(
             num_scenes=scenes,
             actors="walkers",
-            sensors=SENSORS,
+            sensors=GROUND,
             task={"terminations": {"time_limit": {"max_steps": 30}}},
         )
         for step in range(20):
@@ -128,6 +190,14 @@ def test_with_realism_the_goal_is_that_of_the_receiver(realism: dict[str, Any]) 
         ),
         ({"agent_tracks": {"lidar": "lidr"}}, r"no sensor 'lidr' to read; did you mean lidar"),
         ({"lidar": {}, "way_left": {"tracks": "lidar"}}, r"sensors.way_left.tracks must be .* agent_tracks"),
+        (
+            {"lidar": {}, "low_obstacles": {"profile": "lidar"}},
+            r"low_obstacles.profile must be .* ground_profile",
+        ),
+        (
+            {"lidar": {}, "low_obstacles": {"tracks": "lidar"}},
+            r"low_obstacles.tracks must be .* agent_tracks",
+        ),
     ],
 )
 def test_other_sensors_are_refused(sensors: dict[str, Any], said: str) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 from scipy.spatial import cKDTree
+from simulations import new_simulation
 
 from dune_rl.core.errors import WorldError
 from dune_rl.geometry.heightfield import HeightField
@@ -251,3 +252,26 @@ def test_the_free_space_of_a_world_is_worked_out_once_for_all_who_are_in_it():
     assert one.free_space is other.free_space
     for conf, radius in ((SpawnConf(max_slope_deg=20.0), 0.3), (SpawnConf(), 0.4)):
         assert Spawner(world, conf, radius).free_space is not one.free_space
+
+
+def test_goals_are_no_farther_than_told_where_the_region_has_such() -> None:
+    conf = SpawnConf(region="anywhere", max_goal_distance_m=6.0)
+    placed = samples(Spawner(inspection(3), conf, RADIUS_M), 60)
+    distances = np.hypot(placed[:, 3] - placed[:, 0], placed[:, 4] - placed[:, 1])
+    assert distances.min() >= 2.0 and distances.max() <= 6.0
+    with pytest.raises(ValidationError, match=r"max_goal_distance_m=2 must be above min_goal_distance_m=2"):
+        SpawnConf(max_goal_distance_m=2.0)
+
+
+def test_a_share_of_the_episodes_is_anywhere_in_the_world() -> None:
+    spawn = {"region": (-2.0, 2.0, -2.0, 2.0), "anywhere_share": 0.5}
+    simulation = new_simulation("flat", 12, task={"spawn": spawn})
+    simulation.reset()
+    starts = simulation.state.groups["rover"].motion.position_w[:, :2]
+    inside = (np.abs(starts) <= 2.5).all(axis=1)
+    assert 1 <= inside.sum() <= 11
+    again = new_simulation("flat", 12, task={"spawn": spawn})
+    again.reset()
+    np.testing.assert_array_equal(again.state.groups["rover"].motion.position_w[:, :2], starts)
+    simulation.close()
+    again.close()
