@@ -35,7 +35,8 @@ class SensorContext:
     latency: they have been measured before it. `reading_of` gives a function that returns a sensor's latest
     reading as the robot has it, with rate, latency and faults. `settings_of` has the settings of the sensor
     that is called after a kind, or the kind's defaults. `navigation` is what the robots know of their own
-    motion where any sensor has the faults of a real device.
+    motion where any sensor has the faults of a real device, and None for a sensor that is true but
+    for faults of its own.
     """
 
     num_rows: int

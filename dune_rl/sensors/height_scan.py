@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.geometry.frames import clip
 from dune_rl.sensors.context import SensorContext
+from dune_rl.sensors.navigation import KnownPose
 from dune_rl.sensors.realism.noise import NoiseConf
 from dune_rl.sensors.realism.pipeline import ReadingRealismConf
 from dune_rl.sensors.sensor import VectorSensor
@@ -58,12 +59,13 @@ class HeightScan(VectorSensor):
     from the nearest, each from right to left. Heights are over the plane `standing_height_m` below the
     robot's origin, so that level ground reads 0. With `source=solid`, what hangs wholly higher than `above_m`
     is overhead and not seen; walls and hills that reach higher read the upper limit, and where there is no
-    ground at all, the lower. Moving actors are not seen.
+    ground at all, the lower. Moving actors are not seen. A robot that navigates by faulty instruments reads a
+    map where it believes to be: by its receiver, and its heading by its inertial unit.
     """
 
     def __init__(self, name: str, context: SensorContext, conf: HeightScanConf) -> None:
         self.conf = conf
-        self._solid, self._terrain = context.solid, context.terrain
+        self._solid, self._terrain, self._navigation = context.solid, context.terrain, context.navigation
         ahead = conf.ahead_m + conf.spacing_m * np.arange(conf.rows)
         left = conf.spacing_m * (np.arange(conf.columns) - (conf.columns - 1) / 2)
         self._grid = np.stack(np.meshgrid(ahead, left, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -71,7 +73,8 @@ class HeightScan(VectorSensor):
         super().__init__(name, context.num_rows, -highest, highest)
 
     def measure(self, now: GroupState, state: State) -> None:
-        self._reading = self.heights(now.motion.position_w, now.motion.roll_pitch_yaw[:, 2])
+        own = KnownPose.of(self._navigation, now)
+        self._reading = self.heights(own.position_w, own.yaw)
 
     def points(self, position_w: Array, yaw: Array) -> Array:
         """Where heights are asked for, (N, rows * columns, 2) [m] in the world.

@@ -65,10 +65,31 @@ class Navigation:
         self.rotation = rotation_from_angles(imu[:, _ATTITUDE])
 
     @property
-    def heading(self) -> Array:
+    def yaw(self) -> Array:
         """Yaw by the inertial unit [rad], (N,)."""
         return self.motion.roll_pitch_yaw[:, 2]
 
+    @property
+    def velocity_w(self) -> Array:
+        """Velocity along the body's x axis in the world frame [m/s], (N, 3)."""
+        return self.rotation[:, :, 0] * self.motion.velocity_b[:, :1]
+
     def receiver_position(self) -> Array:
-        """Horizontal position by the receiver [m], (N, 2)."""
-        return self.instruments["position"].read()["position"][:, :2].astype(np.float64)
+        """Position by the receiver [m], (N, 3)."""
+        return self.instruments["position"].read()["position"][:, :3].astype(np.float64)
+
+
+@dataclass(frozen=True)
+class KnownPose:
+    """Where N robots are, as they know it: `position_w`, `velocity_w` (N, 3) [m, m/s], `yaw` (N,) [rad]."""
+
+    position_w: Array
+    velocity_w: Array
+    yaw: Array
+
+    @classmethod
+    def of(cls, navigation: Navigation | None, now: GroupState) -> "KnownPose":
+        """By the receiver, the speed and the inertial unit; the truth of `now` without `navigation`."""
+        if navigation is None:
+            return cls(now.motion.position_w, now.motion.velocity_w, now.motion.yaw)
+        return cls(navigation.receiver_position(), navigation.velocity_w, navigation.yaw)

@@ -10,6 +10,7 @@ from pydantic import Field
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import wrap_angle
 from dune_rl.sensors.context import SensorContext
+from dune_rl.sensors.navigation import KnownPose
 from dune_rl.sensors.own_motion import heading_frame
 from dune_rl.sensors.realism.noise import NoiseConf
 from dune_rl.sensors.realism.pipeline import ReadingRealismConf
@@ -87,7 +88,8 @@ class NearestAgent(VectorSensor):
     Distance is horizontal, from origin to origin, at most the diagonal of the extent. The bearing is measured
     from the own heading, in [-pi, pi). The velocity is the other's minus the own [m/s], forward
     and left in the frame of the own heading, each component at most 10 m/s more than the body's top speed.
-    Without another agent the reading is (the diagonal, 0, 0, 0).
+    Without another agent the reading is (the diagonal, 0, 0, 0). A robot that navigates by faulty instruments
+    is told where others are, and knows where it is by its receiver, its heading by its inertial unit.
     """
 
     def __init__(self, name: str, context: SensorContext, conf: NearestAgentConf) -> None:
@@ -95,6 +97,7 @@ class NearestAgent(VectorSensor):
         self._farthest_m = far = context.diagonal_m
         fast = MAX_SENSED_SPEED_MPS + context.carrier.max_speed_mps
         super().__init__(name, context.num_rows, [0.0, -PI32, -fast, -fast], [far, PI32, fast, fast])
+        self._navigation = context.navigation
 
     def measure(self, now: GroupState, state: State) -> None:
         reading = np.zeros((len(self._reading), 4), np.float32)
@@ -105,14 +108,15 @@ class NearestAgent(VectorSensor):
             reading[:, 0] = self._farthest_m
             self._reading = reading
             return
-        offset = position - now.motion.position_w[:, None, :2]
+        own = KnownPose.of(self._navigation, now)
+        offset = position - own.position_w[:, None, :2]
         distance = np.hypot(offset[..., 0], offset[..., 1])
         nearest = np.where(present, distance, np.inf).argmin(axis=1)
         rows = np.arange(len(nearest))
-        offset, yaw = offset[rows, nearest], now.motion.yaw
+        offset = offset[rows, nearest]
         reading[:, 0] = distance[rows, nearest]
-        reading[:, 1] = wrap_angle(np.arctan2(offset[:, 1], offset[:, 0]) - yaw)
-        reading[:, 2:] = heading_frame(velocity[rows, nearest] - now.motion.velocity_w[:, :2], yaw)
+        reading[:, 1] = wrap_angle(np.arctan2(offset[:, 1], offset[:, 0]) - own.yaw)
+        reading[:, 2:] = heading_frame(velocity[rows, nearest] - own.velocity_w[:, :2], own.yaw)
         reading[~present.any(axis=1)] = self._farthest_m, 0.0, 0.0, 0.0
         self._store(reading)
 
@@ -141,6 +145,7 @@ class Neighbours(VectorSensor):
     there follows the place of a robot's goal, forward and left [m], 0 for other agents; each component is at
     most `range_m` either way, which bends the direction to goals farther away. Directions are in the frame of
     the own heading, distances horizontal, from origin to origin. Where there are fewer agents, the rest is 0.
+    What a robot knows of itself is as for `NearestAgent`.
     """
 
     def __init__(self, name: str, context: SensorContext, conf: NeighboursConf) -> None:
@@ -152,23 +157,25 @@ class Neighbours(VectorSensor):
         low = np.tile([0.0, -far, -far, -fast, -fast, 0.0, 0.0, *np.negative(goal)], conf.number)
         high = np.tile([1.0, far, far, fast, fast, far, 1.0, *goal], conf.number)
         super().__init__(name, context.num_rows, low, high)
+        self._navigation = context.navigation
 
     def measure(self, now: GroupState, state: State) -> None:
         names = self._conf.groups or tuple(state.groups)
         others = sense_agents(names, now, state, goals=self._conf.goals)
         number = min(self._conf.number, others.present.shape[1])
         reading = np.zeros((len(self._reading), self._conf.number, self._values))
-        own = now.motion.position_w[:, None, :2]
-        offset = others.position_w - own
+        own = KnownPose.of(self._navigation, now)
+        place = own.position_w[:, None, :2]
+        offset = others.position_w - place
         distance = np.where(others.present, np.hypot(offset[..., 0], offset[..., 1]), np.inf)
         # Stable: equally far agents are listed in the order of their groups on every machine.
         nearest = np.argsort(distance, axis=1, kind="stable")[:, :number]
         seen = np.take_along_axis(distance, nearest, axis=1) <= self._conf.range_m
-        closing = others.velocity_w - now.motion.velocity_w[:, None, :2]
-        cos, sin = np.cos(now.motion.yaw)[:, None], np.sin(now.motion.yaw)[:, None]
+        closing = others.velocity_w - own.velocity_w[:, None, :2]
+        cos, sin = np.cos(own.yaw)[:, None], np.sin(own.yaw)[:, None]
         listed = [(1, offset), (3, closing)]
         if self._conf.goals:
-            listed.append((_VALUES, np.where(others.is_robot[:, None], others.goal_w - own, 0.0)))
+            listed.append((_VALUES, np.where(others.is_robot[:, None], others.goal_w - place, 0.0)))
         for first, vectors in listed:
             x, y = (np.take_along_axis(vectors[..., axis], nearest, axis=1) for axis in (0, 1))
             reading[:, :number, first] = cos * x + sin * y

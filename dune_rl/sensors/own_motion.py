@@ -1,24 +1,24 @@
 """What an agent senses of its own motion: velocity, position in the world, and its goal."""
 
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import wrap_angle
 from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.draws import draw, normal
+from dune_rl.sensors.navigation import Navigation
 from dune_rl.sensors.realism.noise import NoiseConf
 from dune_rl.sensors.realism.pipeline import (
     GoalRealismConf,
     PositionRealismConf,
-    ReadingRealismConf,
     SpeedRealismConf,
 )
 from dune_rl.sensors.sensor import MAX_SENSED_SPEED_MPS, MAX_SENSED_TURN_RADPS, PI32, Sensor, VectorSensor
 from dune_rl.sensors.settings import SensorSettings
-from dune_rl.state.state import GroupState, State
+from dune_rl.state.state import GroupState, Motion, State
 
 # An error beyond this many standard deviations, one reading in 16,000, is clipped at the world's edge.
 _FARTHEST_DRIFT = 4.0
@@ -39,8 +39,6 @@ class VelocityConf(SensorSettings):
 
 class PlanarVelocityConf(SensorSettings):
     """A planar velocity has nothing to set beside its realism."""
-
-    default_realism: ClassVar = ReadingRealismConf(each=NoiseConf(noise=0.05))
 
     sensor: Literal["planar_velocity"] = "planar_velocity"
 
@@ -75,15 +73,18 @@ class EstimatedVelocity(VectorSensor):
 class PlanarVelocity(VectorSensor):
     """The reading `name`, (N, 2): horizontal velocity [m/s] along the heading and to its left.
 
-    Bounds follow from the top speed of the body; readings are clipped to them.
+    Bounds follow from the top speed of the body; readings are clipped to them. A robot that navigates by
+    faulty instruments knows its speed ahead, and takes that to the left for 0.
     """
 
     def __init__(self, name: str, context: SensorContext, conf: PlanarVelocityConf) -> None:
         highest = np.full(2, context.carrier.max_speed_mps * _SPEED_MARGIN)
         super().__init__(name, context.num_rows, -highest, highest)
+        self._navigation = context.navigation
 
     def measure(self, now: GroupState, state: State) -> None:
-        self._store(heading_frame(now.motion.velocity_w, now.motion.yaw))
+        known: Motion | Navigation = now.motion if self._navigation is None else self._navigation
+        self._store(heading_frame(known.velocity_w, known.yaw))
 
 
 def heading_frame(vector_w: Array, yaw: Array) -> Array:
@@ -163,6 +164,12 @@ class GoalDirectionConf(SensorSettings):
     far_m: float = Field(7.0, gt=0.0, le=1000.0, description="distance at which the first share is 1 [m]")
     near_m: float = Field(1.5, gt=0.0, le=1000.0, description="distance at which the second share is 1 [m]")
 
+    @model_validator(mode="after")
+    def _far_is_farther(self) -> Self:
+        if self.far_m <= self.near_m:
+            raise ValueError(f"far_m ({self.far_m:g}) must be above near_m ({self.near_m:g})")
+        return self
+
 
 class GoalDirection(VectorSensor):
     """The reading `name`, (N, 4): cosine and sine of the goal's bearing, and its distance as two shares.
@@ -197,12 +204,12 @@ class Goal(VectorSensor):
 
     def __init__(self, name: str, context: SensorContext, conf: GoalConf) -> None:
         super().__init__(name, context.num_rows, [0.0, -PI32], [context.diagonal_m, PI32])
-        self._navigation = context.navigation if conf.realism is None else None
+        self._navigation = context.navigation
 
     def measure(self, now: GroupState, state: State) -> None:
         distance, bearing = now.goal.distance, now.goal.bearing
         if self._navigation is not None:
-            offset = now.goal.position_w - self._navigation.receiver_position()
+            offset = now.goal.position_w - self._navigation.receiver_position()[:, :2]
             distance = np.hypot(offset[:, 0], offset[:, 1])
-            bearing = wrap_angle(np.arctan2(offset[:, 1], offset[:, 0]) - self._navigation.heading)
+            bearing = wrap_angle(np.arctan2(offset[:, 1], offset[:, 0]) - self._navigation.yaw)
         self._store(np.stack([distance, bearing], axis=1))

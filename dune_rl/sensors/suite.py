@@ -17,7 +17,12 @@ from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.state import GroupState, Motion, State
 
 # Sensors of robots that know where they are by their receiver.
-_NEED_POSITION = ("goal", "goal_direction", "position", "way_left")
+_NEED_POSITION = (
+    *("goal", "goal_direction", "height_scan", "nearest_agent", "neighbours", "position", "way_left"),
+)
+
+# With realism of their own these are the truth with its faults, and not what follows from the instruments.
+_TRUE_WITH_OWN_FAULTS = ("goal", "height_scan", "nearest_agent", "neighbours", "planar_velocity")
 
 
 class SensorSuite:
@@ -33,7 +38,9 @@ class SensorSuite:
     """
 
     def __init__(self, conf: Mapping[str, SensorSettings], context: SensorContext) -> None:
-        self._is_realistic = any(each.realism is not None for each in conf.values())
+        own_faults = {name: each.sensor for name, each in conf.items() if each.realism is not None}
+        self._is_realistic = bool(own_faults)
+        self._is_truthful = {name for name, kind in own_faults.items() if kind in _TRUE_WITH_OWN_FAULTS}
         self._context = replace(
             context, sensor_of=self._sensor, settings_of=self.settings_of, reading_of=self._reading_of
         )
@@ -108,7 +115,10 @@ class SensorSuite:
 
     def _build(self, name: str, conf: SensorSettings) -> tuple[Sensor, Sensor]:
         """A sensor without, and with, rate, latency and noise."""
-        exact = SENSORS.build_sensor(conf, name, self._context)
+        context = self._context
+        if name in self._is_truthful:
+            context = replace(context, navigation=None)
+        exact = SENSORS.build_sensor(conf, name, context)
         return exact, realistic(exact, conf.realism, self._context.num_rows, self._context.step_s)
 
     def settings_of(self, kind: str) -> Any:

@@ -44,9 +44,8 @@ SMALL = {
     "camera": {"width": 12, "height": 8, "outputs": ["rgb", "depth"]},
     "lidar_3d": {"n_rings": 4, "n_beams": 64},
 }
-# A robot knows its own commands; the others it perceives truly.
-TRUE = ("last_action", "planar_velocity", "nearest_agent", "neighbours")
-EVERYTHING = [kind for kind in SENSORS.own if kind not in TRUE]
+# A robot knows its own commands, and here it is alone.
+EVERYTHING = [kind for kind in SENSORS.own if kind not in ("last_action", "nearest_agent", "neighbours")]
 # These have faults by themselves: whole counts, and slip.
 NATURAL = {"encoders", "odometry"}
 # Nothing moves here.
@@ -210,6 +209,25 @@ def test_a_sensor_that_takes_the_name_of_an_instrument_leaves_it_alone():
     np.testing.assert_allclose(seen["velocity"][:, 0], ahead, rtol=1e-4, atol=1e-6)
 
 
+def test_a_planar_velocity_is_that_of_the_wheels_along_the_heading():
+    sensors = suite(enabled=("planar_velocity", "odometry", "imu"), imu={"realism": "perfect"})
+    seen = driven(sensors)
+    ahead = seen["odometry"][:, 3] * np.cos(seen["imu"][:, 7])
+    np.testing.assert_allclose(seen["planar_velocity"], np.stack([ahead, 0 * ahead], axis=1), atol=1e-6)
+
+
+def test_a_height_scan_is_read_where_the_robot_believes_to_be():
+    realism = {"position": {"height": {"bias": 0.1}}, "height_scan": {}, "imu": "perfect"}
+    true = driven(suite(enabled=("height_scan",)))["height_scan"]
+    own = driven(suite(enabled=("height_scan", "position"), **with_realism(realism)))["height_scan"]
+    np.testing.assert_array_equal(own, true)
+    del realism["height_scan"]
+    seen = driven(suite(enabled=("height_scan", "position"), **with_realism(realism)))
+    error = seen["position"][:, 2] - moving(3).motion.position_w[:, 2]
+    assert 0.05 < np.abs(error).max() < 0.5
+    np.testing.assert_allclose(np.median(seen["height_scan"] - true, axis=1), -error, atol=0.02)
+
+
 # -- dead reckoning ------------------------------------------------------------------------------------
 
 
@@ -315,3 +333,34 @@ def test_a_goal_is_known_as_well_as_the_receiver_is():
         scenes.reset()
     scenes.close()
     assert np.concatenate(off).std() == pytest.approx(2.0, rel=0.25)
+
+
+def test_others_are_where_they_are_from_where_the_robot_believes_to_be():
+    realism = {
+        "position": {"place": {"bias": 1.0}},
+        "imu": {"heading_from": "magnetometer", "heading": {"bias": 0.3}},
+    }
+    enabled = ["nearest_agent", "neighbours", "position", "imu"]
+    scenes = started_simulation(
+        "flat", 8, actors="walkers", sensors={"enabled": enabled, **with_realism(realism)}
+    )
+    seen = {name: values[:, 0] for name, values in scenes.observe().items()}
+    walkers = scenes.state.groups["walker"].motion.position_w.reshape(8, 2, 3)[..., :2]
+    offset = walkers - seen["position"][:, None, :2]
+    nearest = np.hypot(*np.moveaxis(offset, -1, 0)).argmin(axis=1)
+    x, y = offset[np.arange(8), nearest].T
+    yaw = seen["imu"][:, 8]
+    ahead, left = np.cos(yaw) * x + np.sin(yaw) * y, np.cos(yaw) * y - np.sin(yaw) * x
+    # Beside the noise of 0.05 that these sensors have of their own.
+    np.testing.assert_allclose(seen["nearest_agent"][:, 0], np.hypot(x, y), atol=0.25)
+    bearing = wrap_angle(seen["nearest_agent"][:, 1] - np.arctan2(left, ahead))
+    np.testing.assert_allclose(bearing, 0.0, atol=0.25)
+    near = seen["neighbours"][:, 0] > 0.5
+    assert near.any()
+    np.testing.assert_allclose(
+        seen["neighbours"][near, 1:3], np.stack([ahead, left], axis=1)[near], atol=0.25
+    )
+    now = scenes.state.groups["rover"].motion
+    assert np.abs(seen["position"][:, :2] - now.position_w[:, :2]).max() > 0.5
+    assert np.abs(wrap_angle(yaw - now.yaw)).max() > 0.2
+    scenes.close()

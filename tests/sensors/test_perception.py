@@ -188,6 +188,7 @@ def test_with_realism_the_goal_is_that_of_the_receiver(realism: dict[str, Any]) 
             {"agent_tracks": {"lidar": "velocity"}, "velocity": {}},
             r"sensors.agent_tracks.lidar must be .* LiDAR",
         ),
+        ({"goal_direction": {"far_m": 1.0}}, r"far_m \(1\) must be above near_m \(1.5\)"),
         ({"agent_tracks": {"lidar": "lidr"}}, r"no sensor 'lidr' to read; did you mean lidar"),
         ({"lidar": {}, "way_left": {"tracks": "lidar"}}, r"sensors.way_left.tracks must be .* agent_tracks"),
         (

@@ -113,7 +113,10 @@ def test_an_episode_begins_without_drift_and_passes_the_half_turn():
 @pytest.mark.parametrize("part", ["mpu6050", "xsens_mti_1", "adis16448"])
 def test_parts_without_a_heading_of_their_own_drift(part):
     yaw = run(ImuRealismConf.model_validate(part), 400, units=100)[..., 8]
-    assert yaw[400].std() > 2.0 * yaw[20].std() > 0.0
+    drift = yaw - yaw[0]
+    assert drift[400].std() > 2.0 * drift[20].std() > 0.0
+    # It begins with a compass's error of two degrees.
+    assert yaw[0].std() == pytest.approx(np.deg2rad(2.0), rel=0.25)
 
 
 @pytest.mark.parametrize("part", ["bno055", "xsens_mti_630"])

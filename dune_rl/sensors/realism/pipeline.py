@@ -115,7 +115,8 @@ class ImuRealismConf(RealismConf):
     """Faults of an inertial unit: `tilt` is of roll and pitch, `heading` of yaw.
 
     Where `heading_from` is the gyroscope, yaw is the integral of its rate since the episode began, so that
-    the errors of the rate add up; a magnetometer's has those of `heading` alone.
+    the errors of the rate add up, and `heading.bias` is the error of the yaw with which it began; a
+    magnetometer's has the faults of `heading` alone.
     """
 
     kind = "imu"

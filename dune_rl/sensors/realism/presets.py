@@ -18,6 +18,8 @@ _BNO055 = "Bosch BNO055 data sheet BST-BNO055-DS000-14"
 _MPU6050 = "InvenSense MPU-6050 product specification PS-MPU-6000A-00 rev. 3.4"
 _MTI_1 = "Xsens MTi-1, as tabled in Transactions on Aerospace Research 2023, 10.2478/tar-2023-0022"
 _MTI_630 = "Xsens MTi-630, as tabled by JorgeDFR/3d_lidar_slam_benchmark_at_iilab, docs, sensors/imu"
+_HMC5883L = "Honeywell HMC5883L data sheet, 'enables 1° to 2° compass heading accuracy', the larger taken"
+_START = f"the yaw at the start is a compass's: {_HMC5883L}"
 _EUROC = "EuRoC MAV data set, imu0/sensor.yaml, 'VI-Sensor IMU (ADIS16448)'"
 _ADIS_DRIVER = "Linux driver drivers/iio/imu/adis16400.c, adis16448"
 _RPLIDAR_A1 = "SLAMTEC RPLIDAR A1M8 data sheet, figure 2-1"
@@ -84,6 +86,7 @@ PRESETS: Mapping[str, SensorPreset] = {
             ),
             "gyroscope.quantum": (_DEG / 16.4, f"16.4 LSB/(°/s): {_MPU6050}, section 6.1"),
             "tilt.bias": (50e-3 / 3, "the accelerometer's bias over gravity, as levelling by it gives"),
+            "heading.bias": (2.0 * _DEG, _START),
         },
     ),
     "xsens_mti_1": SensorPreset(
@@ -95,6 +98,7 @@ PRESETS: Mapping[str, SensorPreset] = {
             "gyroscope.noise_density": (0.007 * _DEG, f"0.007 °/s/√Hz: {_MTI_1}"),
             "gyroscope.bias_instability": (10 * _DEG / 3600, f"10 °/h: {_MTI_1}"),
             "tilt.bias": (0.5 * _DEG, "estimate: half a degree, as levelling by its accelerometer gives"),
+            "heading.bias": (2.0 * _DEG, _START),
         },
     ),
     "xsens_mti_630": SensorPreset(
@@ -121,6 +125,7 @@ PRESETS: Mapping[str, SensorPreset] = {
             "gyroscope.bias_walk": (1.9393e-5, _EUROC),
             "gyroscope.quantum": (0.04 * _DEG, f"0.04 °/s: {_ADIS_DRIVER}"),
             "tilt.bias": (0.5 * _DEG, "estimate: half a degree, as levelling by its accelerometer gives"),
+            "heading.bias": (2.0 * _DEG, _START),
         },
     ),
     "rplidar_a1": SensorPreset(
