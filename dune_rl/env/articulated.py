@@ -72,6 +72,7 @@ class ArticulatedBody(Body):
             kind="robot",
             is_robot=True,
             radius_m=size.width_m / 2,
+            half_length_m=size.length_m / 2,
             reach_m=self.outline.reach_m,
             height_m=size.height_m,
             wheel_radius_m=None if size.wheels is None else size.wheels.radius_m,

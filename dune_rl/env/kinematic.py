@@ -95,11 +95,12 @@ class KinematicBody(Body):
         self._rotation: Array | None = rotation_from_angles(np.zeros((rows, 3))) if self._leans else None
         still = np.zeros((rows, 3))
         self.motion = self._moving(still, still, still)
-        _, width, height = conf.size_m
+        length, width, height = conf.size_m
         self.outline = _outline(conf)
         self.description = BodyDescription(
             kind=conf.kind,
             radius_m=width / 2,
+            half_length_m=length / 2,
             reach_m=self.outline.reach_m,
             height_m=height,
             turning_radius_m=self.limits.turning_radius_m,

@@ -67,6 +67,7 @@ class Proximity:
     ) -> None:
         self._ground, self._layouts, self._movers, self._motions = ground, layouts, movers, motions
         self._each = tuple(layouts.values())
+        self._gaps: dict[tuple[int, int], Array] = {}
 
     def neighbours(self, group: str) -> Array:
         """Poses (N, K, 7) of the other moving bodies of each agent's scene: see `GroupState.neighbours`."""
@@ -101,8 +102,24 @@ class Proximity:
         nearest = self._ground.clearance(by_scene).reshape(len(points), -1).min(axis=1) - outline.radius_m
         for other in self._each:
             if other is not layout or count > 1:
-                nearest = np.minimum(nearest, self._from_group(index, other.index, points))
+                nearest = np.minimum(nearest, self._gap(index, other.index, points))
         return nearest
+
+    def gap(self, group: str, other: str) -> Array:
+        """Distance [m], (N,), of each agent's outline from the nearest agent of `other`, itself left out.
+
+        inf where there is none; negative where discs overlap, 0 where rectangles do.
+        """
+        layout = self._layouts[group]
+        points = self._points(layout.index)
+        if group == other and layout.count == 1:
+            return np.full(len(points), np.inf)
+        return self._gap(layout.index, self._layouts[other].index, points).copy()
+
+    def _gap(self, group: int, other: int, points: Array) -> Array:
+        if (group, other) not in self._gaps:
+            self._gaps[group, other] = self._from_group(group, other, points)
+        return self._gaps[group, other]
 
     def _from_group(self, group: int, other: int, points: Array) -> Array:
         """Distance [m], (N,), of each agent of `group` from the nearest of `other` that is not itself."""

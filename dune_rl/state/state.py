@@ -48,6 +48,13 @@ class ProximityQueries(Protocol):
         """
         ...
 
+    def gap(self, group: str, other: str) -> Array:
+        """Distance [m], (N,), of each agent's outline from the nearest agent of the group `other` but itself.
+
+        inf where there is none, 0 or less where outlines overlap.
+        """
+        ...
+
     def neighbours(self, group: str) -> Array:
         """Poses (N, K, 7) of the other moving bodies of each agent's scene: see `GroupState.neighbours`."""
         ...

@@ -59,6 +59,20 @@ def collision(state: State, group: GroupState, *, distance_m: Annotated[float, F
     return (group.clearance < distance_m) | group.contacts.touching
 
 
+def scan_collision(
+    state: State, group: GroupState, *, distance_m: Annotated[float, Field(gt=0.0)] = 0.3
+) -> Flags:
+    """1 where a scan as the paper's published code makes it has a return nearer than `distance_m`.
+
+    It has 640 beams over the full circle, 0.15 to 10 m; without a return nothing is near.
+    """
+    near: Flags = group.nearest_return < distance_m
+    return near
+
+
+scan_collision.needs_scan = True  # type: ignore[attr-defined]
+
+
 def contact(state: State, group: GroupState) -> Counts:
     """Number of collisions that began in this step: one for each body, however long it is touched."""
     return group.contacts.new
@@ -93,20 +107,12 @@ def near_miss(
 ) -> Array:
     """Closeness to the nearest agent of another group: 0 beyond `comfort_m`, growing to 1 on contact.
 
-    With `own_group` the other agents of the own group count too. Distances are from surface to surface, of
-    circles of each group's `radius_m`, seen from above: those of vehicles and animals leave out the ends of
-    what is longer than it is wide.
+    With `own_group` the other agents of the own group count too. Distances are those of outlines, seen from
+    above.
     """
-    own = group.by_scene(group.motion.position_w[:, :2])[:, :, None]
-    closeness = np.zeros(own.shape[:2])
-    for name, other in state.groups.items():
-        is_own = name == group.name
-        if is_own and (not own_group or group.count == 1):
-            continue
-        offset = other.by_scene(other.motion.position_w[:, :2])[:, None] - own
-        apart = np.hypot(offset[..., 0], offset[..., 1]) - group.body.radius_m - other.body.radius_m
-        if is_own:
-            apart = np.where(np.eye(group.count, dtype=bool), np.inf, apart)
-        nearest = np.maximum(apart, 0.0).min(axis=2)
-        closeness = np.maximum(closeness, 1.0 - nearest / comfort_m)
-    return np.minimum(closeness, 1.0).reshape(-1)
+    nearest = np.full(len(group.done), np.inf)
+    proximity = state.groups[group.name].proximity
+    for name in state.groups:
+        if own_group or name != group.name:
+            nearest = np.minimum(nearest, proximity.gap(group.name, name))
+    return 1.0 - np.clip(nearest / comfort_m, 0.0, 1.0)

@@ -1,5 +1,6 @@
 """States of agents for rewards, terminations and metrics to read, made without a simulation."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -70,6 +71,7 @@ def agents(
     work_j: Any = None,
     battery: BatteryModel | None = None,
     radius_m: float = 0.0,
+    half_length_m: float = 0.0,
     endings: dict[str, Any] | None = None,
     wheel_radius_m: float | None = None,
     joint_speed: Any = None,
@@ -92,7 +94,7 @@ def agents(
     return GroupState(
         name,
         count,
-        BodyDescription(kind, kind == "robot", radius_m, wheel_radius_m=wheel_radius_m),
+        BodyDescription(kind, kind == "robot", radius_m, half_length_m, wheel_radius_m=wheel_radius_m),
         EpisodeState(0, numbers(episode, int), numbers(step, int), numbers(episode, int), STEP_S),
         Motion(
             vector(position),
@@ -121,7 +123,27 @@ def _joints_at(speed: np.ndarray) -> JointState:
     return JointState(np.zeros_like(speed), speed, np.zeros_like(speed))
 
 
+class Discs:
+    """Gaps of agents that are discs of their `radius_m`; all else is as a group has it."""
+
+    def __init__(self, group: GroupState, groups: dict[str, GroupState]) -> None:
+        self._groups = groups
+        self.clearance, self.neighbours = group.proximity.clearance, group.proximity.neighbours
+
+    def gap(self, group: str, other: str) -> np.ndarray:
+        """Gaps (N,) to the nearest disc of another group, or to another of the own."""
+        mine, theirs = self._groups[group], self._groups[other]
+        offset = theirs.by_scene(theirs.motion.position_w[:, :2])[:, None]
+        offset = offset - mine.by_scene(mine.motion.position_w[:, :2])[:, :, None]
+        apart = np.hypot(offset[..., 0], offset[..., 1]) - mine.body.radius_m - theirs.body.radius_m
+        if group == other:
+            apart = np.where(np.eye(mine.count, dtype=bool), np.inf, apart)
+        return apart.min(axis=2).reshape(-1)
+
+
 def state_of(*groups: GroupState, extent: tuple[float, float, float, float] = EXTENT) -> State:
-    """The state of scenes with these groups."""
+    """The state of scenes with these groups, whose gaps are those of discs."""
     scenes = len(groups[0].done) // groups[0].count
-    return State({group.name: group for group in groups}, Extents(scenes, extent), scenes)
+    known = {group.name: group for group in groups}
+    seen = {name: replace(group, proximity=Discs(group, known)) for name, group in known.items()}
+    return State(seen, Extents(scenes, extent), scenes)

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from simulations import act, put_walkers, started_simulation
 from term_states import agents, state_of
 
 from dune_rl.core.errors import ConfigError
@@ -122,3 +123,29 @@ def test_encounters_are_forgotten_at_a_reset() -> None:
 def test_classes_of_encounters_lie_within_them() -> None:
     with pytest.raises(ConfigError, match="least_m < most_m <= within_m"):
         Encounters(1, least_m=0.5, most_m=1.5, within_m=1.2)
+
+
+def test_gaps_and_near_misses_are_of_whole_bodies() -> None:
+    # A car of 4.3 m by 1.8 m, 1 m behind a rover of 0.62 m, and beside it.
+    car = {"body": "car", "count": 1, "controller": "external"}
+    simulation = started_simulation("flat", actors={"car": car})
+    rover = simulation.state.groups["rover"].motion
+    start, yaw = rover.position_w[0, :2], float(rover.yaw[0])
+    ahead, left = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
+    for offset, gap in ((-ahead * (0.31 + 1.0 + 2.15), 1.0), (left * (0.2215 + 1.0 + 0.9), 1.0)):
+        put_walkers(simulation, [[*(start + offset), 0.0, yaw]], "car")
+        act(simulation)
+        state = simulation.state
+        for mine, other in (("rover", "car"), ("car", "rover")):
+            seen = social.actor_gap(state, state.groups[mine], groups=(other,))
+            assert seen[0] == pytest.approx(gap, abs=0.02)
+    simulation.close()
+
+
+def test_the_ends_of_long_bodies_count_in_near_misses() -> None:
+    # A rover drives at 1 m/s toward the nose of a car, whose middle is 2.6 m away: 0.5 m of gap.
+    car = agents(name="car", position=(2.6, 0.0, 0.0), radius_m=0.9, half_length_m=1.9)
+    rover = agents(radius_m=0.2, velocity_w=(1.0, 0.0, 0.0))
+    assert near_misses((state_of(rover, car), rover)) == [True]
+    short = agents(name="car", position=(2.6, 0.0, 0.0), radius_m=0.9, half_length_m=0.0)
+    assert near_misses((state_of(rover, short), rover)) == [False]

@@ -1,12 +1,13 @@
 """Metric terms of an agent among others: distances, near misses, encounters and risk.
 
-Agents are discs in plan view here: of half a robot's width, or of a person's radius. A gap is the distance
-between two discs, negative where they overlap. `groups` names the groups that count; without any, all other
-agents do.
+A gap is the distance between two outlines in plan view: rectangles, or discs of people. Times to contact are
+those of the discs of half the width that cover a body. `groups` names the groups that count; without any, all
+other agents do.
 """
 
 import math
 from collections.abc import Iterator
+from itertools import product
 from typing import Annotated, Any
 
 import numpy as np
@@ -152,25 +153,30 @@ class Encounters:
 def _gaps(state: State, group: GroupState, names: tuple[str, ...]) -> Array:
     """Gaps [m], (N,), to the nearest other agent of the groups; inf without any."""
     found = np.full(len(group.done), np.inf)
-    position = group.motion.position_w[:, :2]
+    proximity = state.groups[group.name].proximity
     for other in _others(state, group, names):
-        places, reach = other.motion.position_w[:, :2], group.body.radius_m + other.body.radius_m
-        _find_gaps(position, reach, places, group.count, other.count, other is group, found)
+        found = np.minimum(found, proximity.gap(group.name, other.name))
     return found
 
 
 def _times_to_contact(state: State, group: GroupState, names: tuple[str, ...]) -> Array:
     """Shortest times to contact [s], (N,), with other agents of the groups; inf without any."""
     found = np.full(len(group.done), np.inf)
-    mine = group.motion
     for other in _others(state, group, names):
-        theirs = other.motion
-        _find_times_to_contact(
-            mine.position_w[:, :2], mine.velocity_w[:, :2], group.body.radius_m + other.body.radius_m,
-            theirs.position_w[:, :2], theirs.velocity_w[:, :2], group.count, other.count,
-            other is group, found,
-        )  # fmt: skip
+        reach = group.body.radius_m + other.body.radius_m
+        for mine, theirs in product(_discs(group), _discs(other)):
+            _find_times_to_contact(
+                mine, group.motion.velocity_w[:, :2], reach, theirs, other.motion.velocity_w[:, :2],
+                group.count, other.count, other is group, found,
+            )  # fmt: skip
     return found
+
+
+def _discs(group: GroupState) -> list[Array]:
+    """Centres (N, 2) [m] of the first disc of each body, of the second, and so on."""
+    position, yaw = group.motion.position_w[:, :2], group.motion.yaw
+    ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
+    return [position + offset * ahead for offset in group.body.disc_offsets_m]
 
 
 def _others(state: State, group: GroupState, names: tuple[str, ...]) -> Iterator[GroupState]:
@@ -184,34 +190,16 @@ def _others(state: State, group: GroupState, names: tuple[str, ...]) -> Iterator
 
 
 @compile_function
-def _find_gaps(
-    position: Any, reach: float, others: Any, per_scene: int, number: int, same: bool, found: Any
-) -> None:
-    """The smallest distance [m] of each agent from the others in its scene, where it is below `found` (N,).
-
-    `position` (N, 2) [m] are those of `per_scene` agents in each scene, `others` (M * H, 2) those of `number`
-    (H) agents; `reach` [m] is the sum of both radii. `same` says that they are one group, whose agents are
-    not compared with themselves.
-    """
-    for row in range(len(position)):
-        scene, agent = row // per_scene, row % per_scene
-        for other in range(number):
-            if same and other == agent:
-                continue
-            place = others[scene * number + other]
-            gap = math.hypot(place[0] - position[row, 0], place[1] - position[row, 1]) - reach
-            found[row] = min(found[row], gap)
-
-
-@compile_function
 def _find_times_to_contact(
     position: Any, velocity: Any, reach: float, others: Any, velocities: Any, per_scene: int, number: int,
     same: bool, found: Any,
 ) -> None:  # fmt: skip
     """The shortest time [s] in which discs at constant velocities meet, where it is below `found` (N,).
 
-    Arguments are as for `_find_gaps`; `velocity` and `velocities` [m/s] are those of the agents and of the
-    others. The time is 0 for discs that overlap.
+    `position` (N, 2) [m] are those of `per_scene` agents in each scene, `others` (M * H, 2) those of `number`
+    (H) agents; `reach` [m] is the sum of both radii, `velocity` and `velocities` [m/s] are those of the
+    agents and of the others. `same` says that they are one group, whose agents are not compared with
+    themselves. The time is 0 for discs that overlap.
     """
     for row in range(len(position)):
         scene, agent = row // per_scene, row % per_scene
