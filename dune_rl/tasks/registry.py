@@ -16,8 +16,8 @@ _ROBOT_REWARDS = {
     **{"hit_by_robot": "HitByRobot", "ran_into_robot": "RanIntoRobot"},
 }
 _REWARDS = [
-    *("collision", "contact", "distance", "ended_by", "heading", "near_miss", "progress", "smoothness"),
-    "velocity",
+    *("collision", "contact", "distance", "ended_by", "heading", "near_miss", "progress"),
+    *("scan_collision", "smoothness", "velocity"),
 ]
 _TERMINATIONS = {
     **{name: name for name in ("flipped", "goal_reached", "out_of_world", "time_limit")},

@@ -29,7 +29,7 @@ DUNE_CODE = with_terms(
         "distance": {"min_progress_m": 0.001, "signed": True, "heading_limit_deg": 72.0, "misaligned": -0.03},
         "heading": {"bonus": 0.0},
         "velocity": {"turn_scale": 0.0015},
-        "collision": {"distance_m": 0.3},
+        "collision": {"term": "scan_collision", "distance_m": 0.3},
         "contact": {"weight": 0.0},
         "stuck": {"weight": -25.0},
         "flipped": {"weight": -20.0},
@@ -40,6 +40,7 @@ DUNE_CODE = with_terms(
         "goal_reached": {"distance_m": 0.5, "renew": True},
         "stuck": {"distance_m": 0.001, "steps": 600},
         "long_collision": {"distance_m": 0.3, "steps": 600},
+        "time_limit": {"truncates": False},
     },
 )
 

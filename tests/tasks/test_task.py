@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from published_tasks import DUNE_CODE, PAPER, begun, with_terms
-from term_states import agents, state_of
+from term_states import FixedScan, agents, state_of
 from walker_groups import walker_groups
 
 import dune_rl
@@ -22,6 +22,7 @@ from dune_rl.tasks.task import Task, TaskConf, walking_task
 
 UPSIDE_DOWN = (1.0, 0.0, 0.0, 0.0)
 OUTSIDE = (49.9, 0.0, 0.0)
+NEAR = FixedScan(0.29)
 
 
 @pytest.fixture
@@ -107,9 +108,11 @@ def test_every_agent_earns_its_own() -> None:
     ("group", "expected"),
     [
         (agents(distance=0.499), {"goal": 100.0}),
-        (agents(clearance=0.29), {"collision": -0.5}),
-        (agents(clearance=0.29, quaternion=UPSIDE_DOWN), {"collision": -0.5, "flipped": -20.0}),
-        (agents(clearance=0.29, position=OUTSIDE), {"collision": -0.5, "out_of_world": -10.0}),
+        (agents(scanner=NEAR), {"collision": -0.5}),
+        (agents(scanner=NEAR, quaternion=UPSIDE_DOWN), {"collision": -0.5, "flipped": -20.0}),
+        (agents(scanner=NEAR, position=OUTSIDE), {"collision": -0.5, "out_of_world": -10.0}),
+        # By the scan alone: what is lower, or nearer than its least range, costs nothing.
+        (agents(clearance=0.0, scanner=FixedScan(0.31)), {"distance": -0.045}),
     ],
 )
 def test_events_of_the_published_code(group: GroupState, expected: dict[str, float]) -> None:
@@ -117,11 +120,16 @@ def test_events_of_the_published_code(group: GroupState, expected: dict[str, flo
 
 
 def test_the_published_code_pays_for_being_stuck() -> None:
-    group = agents(clearance=0.29)
+    group = agents(scanner=NEAR)
     task = begun(DUNE_CODE, group)
     got = [float(step(task, group)[0]) for _ in range(600)]
     assert got[:-1] == [-0.5] * 599
     assert got[-1] == -25.5
+
+
+def test_a_time_out_of_the_published_code_is_an_end() -> None:
+    assert ended(agents(step=2000), DUNE_CODE) == {"time_limit", "terminated"}
+    assert ended(agents(step=2000)) == {"time_limit", "truncated"}
 
 
 @pytest.mark.parametrize("option", ["paper", "dune_code", "point_goal"])
