@@ -83,14 +83,20 @@ def _view(conf: ViewConf) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         command_line.print_world_notes(console, conf)
         if conf.view == "orbit":
+            _print_note(console, "Drawing the world.")
             _print_path(console, write_orbit(episode, folder / f"{_stem(conf)}_orbit.png"))
         if conf.view in ("sheet", "both"):
+            _print_note(console, f"Drawing all readings, {conf.after_s:g} s into the episode.")
             _print_path(console, write_sheet(episode, folder / f"{_stem(conf)}_sheet.png"))
         if conf.view in ("video", "both"):
             path = folder / f"{_stem(conf)}_seed{conf.seed}.mp4"
             _print_path(console, write_video(episode, path, console))
     finally:
         episode.close()
+
+
+def _print_note(console: Console, text: str) -> None:
+    console.print(text, highlight=False)
 
 
 def _print_path(console: Console, path: Path) -> None:

@@ -10,7 +10,7 @@ from dune_rl.config.checks import describe_faults
 from dune_rl.config.shorthands import write_agents
 from dune_rl.core.settings import Settings
 from dune_rl.core.suggestions import advise
-from dune_rl.env.randomisation import RandomisationConf
+from dune_rl.env.randomisation import RANDOMISATIONS, RandomisationConf
 from dune_rl.learning.registry import ALGORITHMS
 from dune_rl.learning.settings import LearningConf
 from dune_rl.metrics.episode import MetricsConf, metric_names
@@ -306,7 +306,8 @@ class Conf(EnvConf):
         drawn = list(self.randomisation.distributions)
         for name in () if curriculum is None else curriculum.easiest:
             if name not in drawn:
-                remedy = advise(name, drawn) if drawn else f"randomisation.{name} draws it"
+                known = RANDOMISATIONS.names()
+                remedy = f"randomisation.{name} draws it" if name in known else advise(name, drawn or known)
                 raise ValueError(f"learning.curriculum.easiest.{name}: it is not drawn; {remedy}")
             if name.endswith("seed"):
                 raise ValueError(f"learning.curriculum.easiest.{name}: no seed is easier than another")

@@ -53,6 +53,12 @@ def join_groups(data: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, str]
         raise ValueError(
             f"robots must be a list of robots, such as [rover_zero,leo_rover] (got {robots!r}){equal}"
         )
+    robot = data.get("robot")
+    if isinstance(robot, Mapping) and "count" in robot:
+        raise ValueError(
+            f"robot is one robot, without a count; for equal ones write agents.{_label(robot)}.count="
+            f"{robot['count']}, for others a list such as robots=[rover_zero,leo_rover]"
+        )
     sources = {"robot": data.get("robot") or _DEFAULT_ROBOT}
     if robots is not None:
         sources = {f"robots.{number}": robot for number, robot in enumerate(robots)}
@@ -66,15 +72,19 @@ def join_groups(data: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, str]
             body = ROBOTS.parse_settings(robot)
         name = next((name for known, name in bodies if known == body), None)
         if name is None:
-            label = robot.get("name") if isinstance(robot, Mapping) else getattr(robot, "name", None)
-            label = "rover" if label == "rover_zero" else re.sub(r"\W", "_", str(label))
-            name = free_name(label, {*actors, *groups})
+            name = free_name(_label(robot), {*actors, *groups})
             groups[name] = {"body": robot, "count": 0, "controller": "external"}
             origins[f"agents.{name}.body"] = source
             bodies.append((body, name))
         groups[name]["count"] += 1
     out["agents"] = {**groups, **actors}
     return out, origins
+
+
+def _label(robot: Any) -> str:
+    """What the group of a robot is called, given its settings."""
+    label = robot.get("name") if isinstance(robot, Mapping) else getattr(robot, "name", None)
+    return "rover" if label == "rover_zero" else re.sub(r"\W", "_", str(label))
 
 
 def complete_sections(data: dict[str, Any]) -> dict[str, Any]:

@@ -46,7 +46,12 @@ CURRICULA: Registry[Any] = Registry(
 
 
 def _parse(value: Any) -> Any:
-    return CURRICULA.parse_settings({"name": value} if isinstance(value, str) else value)
+    if isinstance(value, str):
+        value = {"name": value}
+    elif isinstance(value, Mapping):
+        # A setting that is given by its path.
+        value = {"name": "by_outcome", **value}
+    return CURRICULA.parse_settings(value)
 
 
 CurriculumSettings = Annotated[SerializeAsAny[CurriculumConf], BeforeValidator(_parse)]

@@ -301,3 +301,8 @@ def test_faults_of_controllers_names_and_word_lists_say_what_to_write() -> None:
         compose_environment("flat", "seed=1")
     with pytest.raises(ConfigError, match="are lists of strings"):
         compose_environment("flat", config_dirs="my")
+
+
+def test_a_robot_has_no_count() -> None:
+    with pytest.raises(ConfigError, match=r"write agents\.leo_rover\.count=2, for others a list"):
+        compose_environment("flat", ["robot=leo_rover", "robot.count=2"])

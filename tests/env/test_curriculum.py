@@ -149,8 +149,12 @@ def test_a_misspelt_curriculum_is_told() -> None:
         compose(Conf, ["+world=flat", "learning.curriculum=by_outcomes"])
     with pytest.raises(ConfigError, match=r"learning.curriculum.measure.*speedy"):
         compose(Conf, ["+world=flat", "learning.curriculum={name: by_outcome, measure: speedy}"])
-    with pytest.raises(ConfigError, match=r"easiest.friction: it is not drawn"):
+    with pytest.raises(ConfigError, match=r"easiest.friction: it is not drawn; randomisation.friction draws"):
         compose(Conf, ["+world=flat", "learning.curriculum={name: by_outcome, easiest: {friction: 1.0}}"])
+    with pytest.raises(ConfigError, match=r"easiest.fricton: it is not drawn; did you mean friction\?"):
+        compose(Conf, ["+world=flat", "learning.curriculum={name: by_outcome, easiest: {fricton: 1.0}}"])
+    by_path = compose(Conf, ["+world=flat", "learning.curriculum.step=0.05"])
+    assert by_path.learning.curriculum.model_dump()["step"] == 0.05
     seeds = ["randomisation=worlds", "learning.curriculum={name: by_outcome, easiest: {world_seed: 1000}}"]
     with pytest.raises(ConfigError, match=r"easiest.world_seed: no seed is easier"):
         compose(Conf, ["+world=inspection", *seeds])

@@ -50,6 +50,7 @@ def test_a_sheet_and_a_film_are_made(call: Call, folder: Path, capsys: pytest.Ca
     made = folder / "new" / "views"
     assert sorted(path.name for path in made.iterdir()) == ["flat_seed0.mp4", "flat_sheet.png"]
     assert capsys.readouterr().out.splitlines() == [
+        "Drawing all readings, 0.2 s into the episode.",
         "Written: new/views/flat_sheet.png",
         "Written: new/views/flat_seed0.mp4",
     ]

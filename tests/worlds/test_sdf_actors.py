@@ -142,7 +142,7 @@ def test_an_actor_that_walks_through_an_obstacle_is_named(tmp_path):
 @pytest.mark.parametrize(
     ("element", "message"),
     [
-        (actor("a", "<waypoint><time>x</time></waypoint>"), "<time> must hold 1 numbers"),
+        (actor("a", "<waypoint><time>x</time></waypoint>"), "<time> must hold a number"),
         (actor("a", way_point(-1, 0, 0)), "must be 0 to 1e.06 "),
         (actor("a", *SQUARE, script="<delay_start>-2</delay_start>"), "<delay_start> of the actor 'a'"),
         (

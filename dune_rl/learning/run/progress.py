@@ -246,7 +246,8 @@ def describe_duration(elapsed_s: float, left_s: float) -> str:
 class SpeedMeter:
     """Frames and updates per second over the last seconds, and the time of an evaluation.
 
-    `latest` are the speeds [1/s] at the last mark, zero before the second.
+    `latest` are the speeds [1/s] at the last mark, zero before the second. They are known well enough for an
+    estimate once they have been measured over 15 s.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -254,6 +255,7 @@ class SpeedMeter:
         self._marks: deque[tuple[float, int, int]] = deque()
         self.latest = (0.0, 0.0)
         self._evaluation_s = 0.0
+        self._is_known = False
 
     def mark(self, frames: int, updates: int) -> tuple[float, float]:
         """Record the counts now; returns the speeds, and after a pause the speeds from before it."""
@@ -265,6 +267,7 @@ class SpeedMeter:
         span = now - start
         if span > 0:
             self.latest = (frames - frames_then) / span, (updates - updates_then) / span
+            self._is_known |= span >= _LEAST_WINDOW_S
         return self.latest
 
     @property
@@ -280,9 +283,10 @@ class SpeedMeter:
     def restart(self) -> None:
         self._marks.clear()
         self.latest = (0.0, 0.0)
+        self._is_known = False
 
     def seconds_left(self, frames: int, evaluations: int) -> float:
         """Time for so many frames and evaluations at the latest speeds [s]; NaN while they are unknown."""
-        if self.latest[0] <= 0:
+        if self.latest[0] <= 0 or not self._is_known:
             return math.nan
         return max(0, frames) / self.latest[0] + evaluations * self._evaluation_s

@@ -38,7 +38,8 @@ def parse_numbers(element: Element | None, count: int, default: tuple[float, ...
     except ValueError:
         found = np.zeros(0)
     if len(found) != count or not np.isfinite(found).all():
-        raise WorldError(f"<{element.tag}> must hold {count} numbers (got {printable(text, 60)!r}).")
+        what = "a number" if count == 1 else f"{count} numbers"
+        raise WorldError(f"<{element.tag}> must hold {what} (got {printable(text, 60)!r}).")
     return found
 
 
