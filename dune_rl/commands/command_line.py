@@ -171,11 +171,11 @@ def exit_with_error(message: str) -> NoReturn:
     sys.exit(2)
 
 
-def print_world_notes(console: "Console", conf: "EnvConf") -> None:
-    """Print what an importer chose in the world of `conf`: a line for each choice."""
+def print_world_notes(console: "Console", conf: "EnvConf", *, fixes_starts: bool = False) -> None:
+    """Print what an importer chose in the world of `conf`: a line for each choice; see `describe_world`."""
     from dune_rl.config.build import describe_world
 
-    for line in describe_world(conf):
+    for line in describe_world(conf, fixes_starts=fixes_starts):
         console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 

@@ -64,7 +64,7 @@ def _make(parsed: Namespace) -> None:
     for recipe in recipes:
         episodes = generate_episodes(recipe)
         # The world without a seed is one site.
-        header = recipe.header(len({one.world_seed for one in episodes}))
+        header = recipe.header(len({one.world_seed for one in episodes}), parsed.out)
         try:
             written = write_episode_set(parsed.out, header, episodes)
         except OSError as error:
@@ -74,7 +74,8 @@ def _make(parsed: Namespace) -> None:
 
 def named_recipes(parsed: Namespace) -> list["SetRecipe"]:
     """The recipes that the command line names, or the one of its settings."""
-    from dune_rl.evaluation.episode_sets.recipes import all_recipes, own_recipe
+    from dune_rl.evaluation.episode_sets.own_recipe import own_recipe
+    from dune_rl.evaluation.episode_sets.recipes import all_recipes
 
     if parsed.settings:
         if len(parsed.names) != 1:

@@ -119,9 +119,10 @@ def _evaluate(conf: EvaluateConf) -> None:
     # Before the folder is made: a policy that does not fit leaves nothing behind.
     prepared = prepare_run(plan)
     console = command_line.make_console()
-    command_line.print_world_notes(console, conf)
+    command_line.print_world_notes(console, conf, fixes_starts=conf.set is not None)
     provenance = describe_provenance(plan)
     _note_sites_of_training(conf, provenance)
+    _note_other_rates(plan)
     with ResultsFolder.create(out, conf, provenance, overwrite=conf.overwrite) as folder:
         run_plan(plan, folder, prepared, console, conf.processes)
 
@@ -135,6 +136,20 @@ def _note_sites_of_training(conf: EvaluateConf, provenance: Mapping[str, Any]) -
                 f"note: {policy['name']} was trained on sites of {conf.set} "
                 f"(world.seed {', '.join(map(str, seeds[:_SEEDS_SHOWN]))}{more}): its results there are not "
                 "those of unseen sites"
+            )
+
+
+def _note_other_rates(plan: "EvaluationPlan") -> None:
+    """Say which checkpoints decide more or less often here than they learned to."""
+    now = plan.conf.physics.action_repeat
+    for source in plan.sources:
+        if source.kind != "checkpoint" or source.file is None:
+            continue
+        then = (read_policy_file(source.file)[1]["config"].get("physics") or {}).get("action_repeat", 1)
+        if then != now:
+            command_line.print_error(
+                f"note: {source.name} was trained with physics.action_repeat={then}, and decides here with "
+                f"{now}"
             )
 
 

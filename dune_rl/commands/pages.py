@@ -155,10 +155,18 @@ PAGES: Mapping[str, HelpPage] = {
             ("python -m dune_rl.episode_sets check NAME", "start every episode, and report what is not free"),
             ("python -m dune_rl.episode_sets make", "the package's sets again; builds all their sites"),
             ("python -m dune_rl.episode_sets make mine-v1 +world=NAME --episodes 50", "a set of your own"),
+            (
+                "python -m dune_rl.episode_sets make barn +world=sdf 'world.path=FOLDER/*.world' "
+                "'start=[-2,3,90]' 'goal=[-2,13]'",
+                "an episode in each of several world files; start is x, y and degrees",
+            ),
         ),
         (
             ("--out FOLDER", "of make: the folder to write to; else episode_sets"),
-            ("--episodes N", "of a set of your own, likewise below: how many; else 100"),
+            (
+                "--episodes N",
+                "of a set of your own, likewise below: how many; else 100, or one for each file",
+            ),
             ("--sites N", "of a generated world; else 1, its world.seed"),
             ("--farthest M", "largest distance of a goal from its start [m]"),
             ("--seed N", "of all that episodes draw; else 0"),

@@ -213,10 +213,15 @@ def build_world(conf: WorldSettings) -> World:
     return shared_store().get(conf)
 
 
-def describe_world(conf: EnvConf) -> list[str]:
-    """Lines about what an importer chose in a world: the region of starts and goals, and its own actors."""
+def describe_world(conf: EnvConf, *, fixes_starts: bool = False) -> list[str]:
+    """Lines about what an importer chose in a world: the region of starts and goals, and its own actors.
+
+    Where something else `fixes_starts`, the region is left out.
+    """
     world = build_world(conf.world)
-    uses_region = any(group.task is not None and group.task.spawn.region == "world" for group in conf.groups)
+    uses_region = not fixes_starts and any(
+        group.task is not None and group.task.spawn.region == "world" for group in conf.groups
+    )
     line = describe_choice(world.region, world.region_candidates) if uses_region else None
     lines = [] if line is None else [line]
     followers = [group for group in conf.groups if group.controller == TRAJECTORY]

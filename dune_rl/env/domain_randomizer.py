@@ -1,7 +1,7 @@
 """Domain randomisation: world, weather, contacts and body of each episode, from (seed, episode) alone."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import lru_cache
 from typing import Any
 
@@ -25,10 +25,11 @@ class DomainRandomizer:
     `make_world` builds a world from its settings; equal settings
     should give the same object while it is in use. `prepare` gets the settings
     of the next worlds, and may build these in the background. `names` are the
-    sampled properties, in the order of `Values`. The world seeds of a `plan`
-    replace sampled ones. `easiest` are the values of properties at a difficulty
-    of 0, from which they rise or fall linearly to the drawn ones. Of `num_scenes`
-    scenes, each keeps its world for `randomisation.episodes_per_world` episodes.
+    sampled properties, in the order of `Values`. The world seeds of a `plan`, or
+    the numbers of its worlds, replace sampled seeds. `easiest` are the values of
+    properties at a difficulty of 0, from which they rise or fall linearly to the
+    drawn ones. Of `num_scenes` scenes, each keeps its world for
+    `randomisation.episodes_per_world` episodes.
     """
 
     def __init__(
@@ -43,7 +44,8 @@ class DomainRandomizer:
         num_scenes: int = 1,
     ) -> None:
         self._easiest = dict(easiest or {})
-        self.common_extent = None if world_conf is None else world_conf.common_extent
+        own_extent = None if world_conf is None else world_conf.common_extent
+        self.common_extent = own_extent if plan is None or plan.bounds is None else plan.bounds
         self._unvaried = EpisodeVariation(world_conf, weather)
         self._distributions = randomisation.distributions
         self._make_world, self._prepare = make_world, prepare
@@ -73,6 +75,8 @@ class DomainRandomizer:
         return frozenset(each for each in names if getattr(varied, each) is not getattr(self._unvaried, each))
 
     def _apply(self, name: str, variation: EpisodeVariation, value: float) -> EpisodeVariation:
+        if name == _WORLD_SEED and self._plan is not None and self._plan.worlds:
+            return replace(variation, world=self._plan.worlds[int(value)])
         part = RANDOMISATIONS.find(name)
         assert part is not None
         drawn: dict[str, Any] = {"name": name, "value": value}

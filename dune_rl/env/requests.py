@@ -8,6 +8,7 @@ import numpy as np
 
 from dune_rl.env.arguments import check_whole
 from dune_rl.tasks.spawn import Placement
+from dune_rl.worlds.world import Rectangle
 
 _KEYS = ("start", "goal", "episode")
 _LAST_EPISODE = 2**40 - 1
@@ -113,7 +114,10 @@ def _numbers(key: str, value: Any, sizes: tuple[int, ...]) -> list[float] | None
 
 @dataclass(frozen=True)
 class PlannedEpisode:
-    """Starts and goals by agent, and the seed of the world; None: the configured world."""
+    """Starts and goals by agent, and the seed of the world; None: the configured world.
+
+    Where a plan has `worlds`, the seed is the number of one of them.
+    """
 
     request: EpisodeRequest = field(default_factory=dict)
     world_seed: int | None = None
@@ -123,14 +127,19 @@ class EpisodePlan:
     """Planned episodes by number; numbers beyond the last one begin again at the first.
 
     What a plan does not set, such as the actors' paths, depends on (seed, episode id) as without a plan.
-    Raises ValueError if there is no episode, or if only some have a world of their own.
+    `worlds` are settings of worlds that episodes choose by number; they may differ in extent within `bounds`
+    (xmin, xmax, ymin, ymax) [m], by which readings are bounded. Raises ValueError if there is no
+    episode, or if only some have a world of their own.
     """
 
-    def __init__(self, episodes: Sequence[PlannedEpisode]) -> None:
+    def __init__(
+        self, episodes: Sequence[PlannedEpisode], worlds: Sequence[Any] = (), bounds: Rectangle | None = None
+    ) -> None:
         with_world = sum(one.world_seed is not None for one in episodes)
         if not episodes or with_world not in (0, len(episodes)):
             raise ValueError("a plan needs episodes, and a world seed in all of them or in none")
         self._episodes = tuple(episodes)
+        self.worlds, self.bounds = tuple(worlds), bounds
         self.sets_worlds = with_world > 0
 
     def of(self, episode: int) -> PlannedEpisode:

@@ -129,7 +129,10 @@ def _report_episodes(
         title += f": {count} of seed {plan.conf.seed}"
         clusters, kind = cluster_rows(next(iter(results.values())))
         sites = int(clusters.max()) + 1 if clusters is not None and kind == "sites" else 0
-        notes = metric_notes(plan.conf.metrics, next(iter(estimates.values())))
+        notes = (
+            *_note_on_sites(plan, rows),
+            *metric_notes(plan.conf.metrics, next(iter(estimates.values()))),
+        )
         console.print(results_table(estimates, title, num_agents=len(names), sites=sites, notes=notes))
         paired = rows_in_common(results)
         compared = compare_policies({name: _numeric(found) for name, found in paired.items()})
@@ -141,6 +144,14 @@ def _report_episodes(
         summary += _summary_rows(plan, group, estimates)
         comparisons += [(group, one) for one in compared]
     return summary, comparisons
+
+
+def _note_on_sites(plan: EvaluationPlan, rows: Sequence[Mapping[str, object]]) -> tuple[str, ...]:
+    """A line where all episodes are on one of a set's sites, of which several episodes in a row are."""
+    all_sites = 1 if plan.episode_set is None else plan.episode_set.header.sites
+    if all_sites == 1 or len({row["world_seed"] for row in rows}) > 1:
+        return ()
+    return (f"all on one of the set's {all_sites} sites: nothing is said of others",)
 
 
 def rows_in_common(results: Mapping[str, Sequence[MetricsRow]]) -> dict[str, list[MetricsRow]]:

@@ -130,9 +130,12 @@ class BlockRunner:
         values = {key: plain_number(value) for key, value in row.items()}
         agent = self.agents[group][int(values.pop("agent"))]
         world_seed = values.pop(WORLD_SEED, getattr(plan.conf.world, "seed", None))
+        files = () if plan.episode_set is None else plan.episode_set.header.files
+        file = {"world_file": files[int(world_seed or 0)].path} if files else {}
         return {
             "policy": plan.sources[policy].name,
             "world": plan.conf.world.name,
+            **file,
             "seed": plan.conf.seed,
             "agent": agent,
             **values,

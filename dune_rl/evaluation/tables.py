@@ -10,7 +10,16 @@ from rich.text import Text
 
 from dune_rl.core.files import write_atomically, write_csv
 from dune_rl.evaluation.columns import describe_columns
-from dune_rl.metrics.catalogue import MINUS, Measure, format_difference, format_value, measure_of, measures_of
+from dune_rl.metrics.catalogue import (
+    MINUS,
+    Measure,
+    equation_of_p,
+    format_difference,
+    format_p,
+    format_value,
+    measure_of,
+    measures_of,
+)
 from dune_rl.metrics.episode import MetricsConf
 from dune_rl.statistics.intervals import Estimate
 from dune_rl.statistics.measures import MetricsRow, cluster_rows
@@ -85,7 +94,7 @@ def paired_line(first: tuple[str, Sequence[MetricsRow]], second: tuple[str, Sequ
     name = "exact McNemar test" if clusters is None else f"sign-flip test of whole {units}"
     return (
         f"Paired: {first[0]} alone succeeds in {test.only_a} episodes, {second[0]} alone in {test.only_b}; "
-        f"{name}, p = {test.p_value:.2g}"
+        f"{name}, {equation_of_p(test.p_value, is_bound=test.p_is_bound)}"
     )
 
 
@@ -111,7 +120,7 @@ def comparison_table(comparisons: Sequence[PairedComparison], measure: str) -> T
         table.add_row(
             Text(f"{one.first} - {one.second}"),
             "-" if math.isnan(one.difference.value) else f"{value}{unit}{interval}",
-            "-" if math.isnan(one.adjusted_p) else f"{one.adjusted_p:.2g}",
+            "-" if math.isnan(one.adjusted_p) else format_p(one.adjusted_p, is_bound=one.p_is_bound),
             "-" if math.isnan(one.effect) else f"{one.effect:.2f}",
         )
     return table

@@ -63,7 +63,7 @@ def measure_of(name: str) -> Measure:
 
 # Metrics of which no measure is made: ids, and details that the CSV has.
 _DETAILS = {
-    *("agent", *BUILT_IN, "set", "world", "seed", "world_seed", "goals", "min_clearance"),
+    *("agent", *BUILT_IN, "set", "world", "world_file", "seed", "world_seed", "goals", "min_clearance"),
     *("diverged", "stuck", "flipped", "out_of_world", "timeout"),
     # Those of the published code are sums, which only mean something when they are divided.
     *("dune_code_attempts", "dune_code_clearance_rows", "dune_code_rough_rows", "dune_code_rows"),
@@ -108,9 +108,16 @@ def _is_zero(text: str) -> bool:
     return not any(digit in text for digit in "123456789")
 
 
-def format_p(value: float) -> str:
-    """A p-value with two digits; a dash where it is not defined."""
-    return NOTHING if math.isnan(value) else f"{value:.2g}"
+def format_p(value: float, *, is_bound: bool = False) -> str:
+    """A p-value with two digits, "≤" before it where it is a bound; a dash where it is not defined."""
+    if math.isnan(value):
+        return NOTHING
+    return f"{'≤ ' if is_bound else ''}{value:.2g}"
+
+
+def equation_of_p(value: float, *, is_bound: bool = False) -> str:
+    """The same as "p = 0.02" or "p ≤ 0.0001"."""
+    return f"p {'≤' if is_bound else '='} {format_p(value)}"
 
 
 def format_range(numbers: Sequence[int]) -> str:

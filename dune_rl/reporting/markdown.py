@@ -27,7 +27,7 @@ from pydantic import Field, ValidationError
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.files import write_atomically
 from dune_rl.core.settings import Settings
-from dune_rl.metrics.catalogue import NOTHING, format_difference, format_p, format_value, measure_of
+from dune_rl.metrics.catalogue import NOTHING, equation_of_p, format_difference, format_value, measure_of
 from dune_rl.reporting.collect import collect_comparisons
 from dune_rl.reporting.comparison import (
     EvaluatedPolicy,
@@ -208,8 +208,9 @@ def make_pair(conf: PairConf, sources: BlockSources) -> str:
     one, other = (escape_markdown(f"`{method.policy}`").replace("\\`", "`") for method in (first, second))
     clusters, units = cluster_rows(rows[0])
     name = "exact McNemar test" if clusters is None else f"sign-flip test of whole {units}"
-    known = not math.isnan(test.p_value)
-    p_value = f"p = {format_p(test.p_value)}" if known else "p is not defined, as there is nothing to compare"
+    p_value = equation_of_p(test.p_value, is_bound=test.p_is_bound)
+    if math.isnan(test.p_value):
+        p_value = "p is not defined, as there is nothing to compare"
     return (
         f"Of {first.episodes} episodes, {one} alone succeeds in {test.only_a}, {other} alone in "
         f"{test.only_b}: {name}, {p_value}.\n"
@@ -274,7 +275,8 @@ def _difference(pair: PairedComparison, adjusted_p: float, conf: GridConf) -> st
     ends = (pair.difference.value, pair.difference.low, pair.difference.high)
     value, low, high = (format_difference(pair.measure, end, conf.decimals) for end in ends)
     interval = "" if NOTHING in (low, high) else f" ({low} to {high})"
-    return f"{value}{interval}" + ("" if math.isnan(adjusted_p) else f", p = {format_p(adjusted_p)}")
+    p_value = f", {equation_of_p(adjusted_p, is_bound=pair.p_is_bound)}"
+    return f"{value}{interval}" + ("" if math.isnan(adjusted_p) else p_value)
 
 
 _MAKERS: Mapping[str, tuple[type[Settings], Callable[[Any, BlockSources], str]]] = {

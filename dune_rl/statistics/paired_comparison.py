@@ -4,6 +4,7 @@
 exchange whole clusters, and hold for new clusters.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -23,7 +24,7 @@ from dune_rl.statistics.intervals import (
     sum_by_cluster,
 )
 from dune_rl.statistics.measures import CASE_COLUMNS, cluster_rows, column
-from dune_rl.statistics.resampling import ROUNDING, exchanged_sums
+from dune_rl.statistics.resampling import LEAST_P, ROUNDING, exchanged_sums
 
 Rows = Sequence[Mapping[str, Any]]
 
@@ -39,6 +40,16 @@ class PairedTest:
     only_a: int
     only_b: int
     p_value: float
+
+    @property
+    def p_is_bound(self) -> bool:
+        """Whether random exchanges tell only that the p-value is at most this."""
+        return _is_least(self.p_value)
+
+
+def _is_least(p_value: float) -> bool:
+    # Exact tests have multiples of powers of 1/2, which are never this.
+    return math.isclose(p_value, LEAST_P, rel_tol=1e-9)
 
 
 def mcnemar_test(a: ArrayLike, b: ArrayLike, clusters: ArrayLike | None = None) -> PairedTest:
@@ -132,6 +143,11 @@ class PairedComparison:
     p_value: float
     effect: float
     adjusted_p: float = np.nan
+
+    @property
+    def p_is_bound(self) -> bool:
+        """Whether random exchanges tell only that both p-values are at most these."""
+        return _is_least(self.p_value)
 
 
 def compare_policies(results: Mapping[str, Rows]) -> list[PairedComparison]:

@@ -9,6 +9,8 @@ from dune_rl.core.seeding import stream
 from dune_rl.geometry.arrays import Array
 
 RESAMPLES, EXCHANGES = 5_000, 9_999
+# The least p-value that these exchanges can show: it is at most that.
+LEAST_P = 1.0 / (EXCHANGES + 1)
 # Up to so many entries all exchanges are made, which makes a test exact.
 _EXACT_UP_TO = 13
 # Up to so many numbers are drawn once and kept; more are drawn in parts of at most so many.

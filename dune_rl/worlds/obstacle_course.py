@@ -1,10 +1,10 @@
 """The obstacle course of the BARN benchmark: cylinders in a walled corridor, by a cellular automaton."""
 
-from typing import Literal
+from typing import Annotated, Literal, Self
 
 import numpy as np
 import scipy.ndimage
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from dune_rl.core.errors import WorldError
 from dune_rl.core.seeding import stream
@@ -25,6 +25,9 @@ _WALL_COLOUR, _CYLINDER_COLOUR = (0.62, 0.60, 0.56), (0.55, 0.32, 0.20)
 _AROUND = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]])
 
 
+Fill = Annotated[float, Field(ge=0.0, le=0.35)]
+
+
 class ObstacleCourseConf(SeededConf):
     """A field of cylinders between walls, with free ground at both ends.
 
@@ -37,9 +40,26 @@ class ObstacleCourseConf(SeededConf):
     friction: float = Field(default=1.0, gt=0.0, le=5.0)
     width_m: float = Field(default=4.5, ge=2.0, le=30.0, description="of the corridor")
     length_m: float = Field(default=4.5, ge=2.0, le=60.0, description="of the field of cylinders")
-    fill: float = Field(default=0.2, ge=0.0, le=0.35, description="share of cells that are filled at first")
+    fill: Fill | tuple[Fill, Fill] = Field(
+        default=0.2,
+        description="share of cells that are filled at first; of two, the least and the most, which the seed "
+        "draws from",
+    )
     smoothing: int = Field(default=2, ge=0, le=10, description="rounds of the cellular automaton")
     passage_m: float = Field(default=0.5, ge=0.3, le=2.0, description="least width of the way through")
+
+    @property
+    def share_filled(self) -> float:
+        """The share of cells that are filled at first."""
+        if not isinstance(self.fill, tuple):
+            return self.fill
+        return float(stream(self.layout, "obstacle course fill").uniform(*self.fill))
+
+    @model_validator(mode="after")
+    def _fills_rise(self) -> Self:
+        if isinstance(self.fill, tuple) and self.fill[0] > self.fill[1]:
+            raise ValueError(f"fill must be [least, most] (got {list(self.fill)})")
+        return self
 
 
 def build_obstacle_course(conf: ObstacleCourseConf) -> World:
@@ -71,16 +91,16 @@ def build_obstacle_course(conf: ObstacleCourseConf) -> World:
 
 def draw_field(conf: ObstacleCourseConf) -> Flags:
     """Filled cells (columns along x, rows along y) of the field; raises WorldError if no draw is passable."""
-    shape = int(conf.length_m / _CELL_M), int(conf.width_m / _CELL_M)
+    shape, share = (int(conf.length_m / _CELL_M), int(conf.width_m / _CELL_M)), conf.share_filled
     for attempt in range(_MOST_DRAWS):
-        filled: Flags = stream(conf.layout, "obstacle course", attempt).uniform(size=shape) < conf.fill
+        filled: Flags = stream(conf.layout, "obstacle course", attempt).uniform(size=shape) < share
         for _ in range(conf.smoothing):
             around = scipy.ndimage.convolve(filled.astype(int), _AROUND, mode="constant")
             filled = (filled | (around >= 5)) & (around > 1)
         if _is_passable(filled, conf.passage_m):
             return filled
     raise WorldError(
-        f"world.fill={conf.fill:g} leaves no way of world.passage_m={conf.passage_m:g} m in {_MOST_DRAWS} "
+        f"world.fill={share:.3g} leaves no way of world.passage_m={conf.passage_m:g} m in {_MOST_DRAWS} "
         "draws: lower one of them"
     )
 

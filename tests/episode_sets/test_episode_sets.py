@@ -27,9 +27,8 @@ from dune_rl.evaluation.episode_sets.apply import (
 )
 from dune_rl.evaluation.episode_sets.files import read_episode_set, set_names, sets_folder, write_episode_set
 from dune_rl.evaluation.episode_sets.recipes import (
-    EPISODES,
     FAMILIES,
-    SITES,
+    V1,
     VARIANTS,
     all_recipes,
     generate_on_site,
@@ -65,12 +64,12 @@ def test_every_family_has_every_variant() -> None:
 def test_a_set_is_as_its_recipe_says(name: str) -> None:
     episode_set, recipe = read_episode_set(name), RECIPES[name]
     rows, seeds = episode_set.episodes, [one.world_seed for one in episode_set.episodes]
-    assert len(rows) == EPISODES
+    assert len(rows) == V1.episodes
     if recipe.world == "flat":
         assert set(seeds) == {None}
     else:
         drawn = yaml.safe_load((conf_folder() / "randomisation" / "worlds.yaml").read_text())["world_seed"]
-        assert len(set(seeds)) == SITES
+        assert len(set(seeds)) == V1.sites
         assert all(0 < seed < drawn["low"] for seed in seeds if seed is not None)
     header = json.loads(json.dumps(recipe.header(len(set(seeds)))))
     stated = episode_set.header.model_dump(mode="json")
@@ -83,7 +82,7 @@ def test_a_set_is_as_its_recipe_says(name: str) -> None:
     low, high = recipe.goal_distance_m
     assert apart.min() >= low and apart.max() <= (high or np.inf)
     # No two rows are the same case.
-    assert len({row.line().partition(",")[2] for row in rows}) == EPISODES
+    assert len({row.line().partition(",")[2] for row in rows}) == V1.episodes
 
 
 @pytest.mark.slow(all_but=["flat-v1", "inspection-crowd-v1", "construction-site-v1"])

@@ -22,6 +22,10 @@ def config(world: str, seed: int | None, drawn: Any = None) -> dict[str, Any]:
         (config("inspection", 0, {"name": "integers", "low": 1, "high": 502}), [500, 501, 502]),
         (config("inspection", 0, {"name": "choice", "values": [7, 501, 530]}), [501, 530]),
         (config("inspection", 0, [520, 521]), [520, 521]),
+        (
+            config("mixed", 0, [502, 507]) | {"world": {"name": "mixed", "families": ["flat", "inspection"]}},
+            [503, 505, 507],
+        ),
         ({}, []),
     ],
 )

@@ -27,10 +27,9 @@ POLICY = Path(__file__).parents[2] / "experiments" / "flat" / "seed1" / "policy.
 EPISODES = 5
 
 
-@pytest.fixture
-def short_set(folder: Path) -> str:
-    """A set of five short episodes without walkers."""
-    header = {**all_recipes()["flat-v1"].header(1), "name": "short-v1", "episodes": EPISODES}
+def write_short_set(folder: Path, sites: int = 1) -> str:
+    """A set of five short episodes without walkers; of `sites`, as its header says."""
+    header = {**all_recipes()["flat-v1"].header(sites), "name": "short-v1", "episodes": EPISODES}
     settings = {**header["settings"], "actors": {}}
     terminations = settings["task"]["terminations"]
     limit = {**terminations["time_limit"], "max_steps": 12}
@@ -40,8 +39,23 @@ def short_set(folder: Path) -> str:
     return "set=short-v1.json"
 
 
+@pytest.fixture
+def short_set(folder: Path) -> str:
+    return write_short_set(folder)
+
+
 def read_rows(path: Path) -> list[dict[str, str]]:
     return list(csv.DictReader((path / "episodes.csv").read_text().splitlines()))
+
+
+def test_what_limits_results_is_said_beside_them(
+    call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [f"checkpoint={POLICY}", write_short_set(folder, sites=50), "physics.action_repeat=2"]
+    assert call(evaluate.main, *words, "episodes=1", "out=results") == 0
+    told = capsys.readouterr()
+    assert "all on one of the set's 50 sites: nothing is said of others" in told.out
+    assert "note: seed1 was trained with physics.action_repeat=1, and decides here with 2" in told.err
 
 
 def test_a_folder_holds_all_about_its_results(

@@ -13,14 +13,22 @@ from dune_rl.metrics.terms.driving import Jerk, PathLength, Spl
 EVERYONE = np.array([True])
 
 
-def drive(term: Any, path: list[tuple[float, float]], **last: Any) -> list[float]:
-    """Values of a term with memory along a path of places; `last` changes the last state."""
-    start = agents(position=(*path[0], 0.0), distance=float(np.hypot(*(np.subtract(path[-1], path[0])))))
-    term.reset(EVERYONE, start)
+def drive(
+    term: Any, path: list[tuple[float, float]], goal: tuple[float, float] | None = None, **last: Any
+) -> list[float]:
+    """Values of a term with memory along a path of places; `last` changes the last state.
+
+    The goal is the path's last place, unless it is given.
+    """
+
+    def left_m(place: tuple[float, float]) -> float:
+        return float(np.hypot(*np.subtract(goal or path[-1], place)))
+
+    term.reset(EVERYONE, agents(position=(*path[0], 0.0), distance=left_m(path[0])))
     values = []
     for place in path[1:]:
         changes = last if place is path[-1] else {}
-        group = agents(position=(*place, 0.3), **changes)
+        group = agents(position=(*place, 0.3), distance=left_m(place), **changes)
         values.append(float(term(state_of(group), group)[0]))
     return values
 
@@ -40,6 +48,14 @@ def test_spl_of_a_detour_is_the_ratio_of_the_ways() -> None:
 
 def test_spl_of_a_straight_way_is_one() -> None:
     assert drive(Spl(1), [(0.0, 0.0), (1.0, 1.0), (3.0, 3.0)], **REACHED)[-1] == pytest.approx(1.0)
+
+
+def test_spl_counts_ways_to_where_the_goal_is_reached() -> None:
+    goal = (3.0, 0.0)
+    assert drive(Spl(1), [(0.0, 0.0), (2.5, 0.0)], goal, **REACHED)[-1] == pytest.approx(1.0)
+    # 2.69 m: a detour, though shorter than the straight way to the goal itself.
+    detour = drive(Spl(1), [(0.0, 0.0), (1.25, 0.5), (2.5, 0.0)], goal, **REACHED)[-1]
+    assert detour == pytest.approx(2.5 / (2 * np.hypot(1.25, 0.5)))
 
 
 def test_spl_without_a_goal_or_after_a_collision_is_nothing() -> None:

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from dune_rl.metrics.catalogue import equation_of_p
 from dune_rl.statistics.paired_comparison import (
     compare_policies,
     holm_adjusted,
@@ -80,6 +81,15 @@ def test_sign_flips_by_hand() -> None:
     assert sign_flip_test([1.0, 2.0, 3.0, 0.0, 0.0]) == pytest.approx(2 / 8)
     assert sign_flip_test([1.0, 2.0, 3.0], [0, 0, 1]) == pytest.approx(2 / 4)
     assert sign_flip_test([0.0, 0.0]) == 1.0 and math.isnan(sign_flip_test([]))
+
+
+def test_the_least_p_value_of_random_exchanges_is_a_bound() -> None:
+    results = {"a": _rows([1] * 40, [2.0] * 40), "b": _rows([1] * 40, [1.0] * 40)}
+    (one,) = [each for each in compare_policies(results) if each.measure.name == "OC"]
+    assert one.p_is_bound and equation_of_p(one.p_value, is_bound=one.p_is_bound) == "p ≤ 0.0001"
+    results = {"a": _rows([1] * 4, [2.0] * 4), "b": _rows([1] * 4, [1.0] * 4)}
+    (few,) = [each for each in compare_policies(results) if each.measure.name == "OC"]
+    assert not few.p_is_bound and equation_of_p(few.p_value, is_bound=few.p_is_bound) == "p = 0.12"
 
 
 def test_exchanges_of_ratios_by_hand() -> None:

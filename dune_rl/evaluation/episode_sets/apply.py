@@ -17,6 +17,7 @@ from dune_rl.core.errors import ConfigError, WorldError
 from dune_rl.env.distributions import Choice, WholeNumbers
 from dune_rl.env.requests import AgentRequest, EpisodePlan, PlannedEpisode
 from dune_rl.evaluation.episode_sets.files import EpisodeSet
+from dune_rl.evaluation.episode_sets.world_files import world_files
 from dune_rl.worlds.registry import WORLDS
 
 Model = TypeVar("Model", bound=EnvConf)
@@ -55,7 +56,7 @@ def check_set_overrides(name: str, overrides: Sequence[str]) -> None:
 
 def world_words(episode_set: EpisodeSet) -> list[str]:
     """Overrides that choose the world of a set, with the settings that have no default, such as a path."""
-    world = episode_set.header.settings["world"]
+    world = _world_of(episode_set)
     known = WORLDS.settings_class(episode_set.world)
     needed = (
         [] if known is None else [name for name, field in known.model_fields.items() if field.is_required()]
@@ -64,6 +65,15 @@ def world_words(episode_set: EpisodeSet) -> list[str]:
         f"+world={episode_set.world}",
         *(f"world.{name}={json.dumps(world[name])}" for name in needed if name in world and name != "name"),
     ]
+
+
+def _world_of(episode_set: EpisodeSet) -> dict[str, Any]:
+    """Settings of the world that is built first, which some episode uses."""
+    world: dict[str, Any] = episode_set.header.settings["world"]
+    files, first = world_files(episode_set), episode_set.episodes[0].world_seed
+    if files:
+        return {**world, "path": str(files[first or 0])}
+    return world if first is None else {**world, "seed": first}
 
 
 def settings_on_set(conf: Model, episode_set: EpisodeSet) -> Model:
@@ -82,10 +92,10 @@ def settings_on_set(conf: Model, episode_set: EpisodeSet) -> Model:
             data["agents"] = replace_actors(data["agents"], values)
         else:
             data[section] = values
-    first = episode_set.episodes[0].world_seed
-    if first is not None:
-        # The world that is built first is then one that is used.
-        data["world"] = {**data["world"], "seed": first}
+    data["world"] = _world_of(episode_set)
+    terms = data["metrics"]["terms"]
+    added = {name: term for name, term in episode_set.header.metrics.items() if name not in terms}
+    data["metrics"]["terms"] = {**terms, **added}
     if "seed" in type(conf).model_fields:
         data["seed"] = episode_set.header.seed
     changed = validate(type(conf), data)
@@ -104,7 +114,9 @@ def plan_of_set(conf: EnvConf, episode_set: EpisodeSet) -> EpisodePlan:
     (robot,) = conf.external_groups
     (agent,) = robot.agents
     planned = (({agent: AgentRequest(one.start, one.goal)}, one.world_seed) for one in episode_set.episodes)
-    return EpisodePlan([PlannedEpisode(*each) for each in planned])
+    files = world_files(episode_set)
+    worlds = [conf.world.model_copy(update={"path": str(path)}) for path in files] if len(files) > 1 else []
+    return EpisodePlan([PlannedEpisode(*each) for each in planned], worlds, episode_set.header.bounds)
 
 
 def footprint_radius_m(conf: EnvConf) -> float:
@@ -118,10 +130,9 @@ def sites_of_training(config: Mapping[str, Any], episode_set: EpisodeSet) -> lis
     None of a world without seeds, which is one site for everybody.
     """
     world = config.get("world") or {}
-    if world.get("name") != episode_set.world:
-        return []
     drawn = (config.get("randomisation") or {}).get("world_seed")
     seeds = sorted({one.world_seed for one in episode_set.episodes if one.world_seed is not None})
+    seeds = [seed for seed in seeds if _family(world, seed) == episode_set.world]
     if drawn is None:
         return [seed for seed in seeds if seed == world.get("seed")]
     found = TypeAdapter[Any](WholeNumbers).validate_python(drawn)
@@ -129,6 +140,14 @@ def sites_of_training(config: Mapping[str, Any], episode_set: EpisodeSet) -> lis
         return [seed for seed in seeds if seed in found.values]
     low, high = found.limits
     return [seed for seed in seeds if low <= seed <= high]
+
+
+def _family(world: Mapping[str, Any], seed: int) -> str | None:
+    """The name of the world that the settings `world` have for a seed: of a mixture, one of its families."""
+    try:
+        return WORLDS.parse_settings({**world, "seed": seed}).drawn().name
+    except (ConfigError, ValueError):
+        return world.get("name")
 
 
 def faulty_episodes(

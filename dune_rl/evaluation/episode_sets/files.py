@@ -4,7 +4,7 @@ import csv
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +15,12 @@ from dune_rl.core.files import write_atomically
 from dune_rl.core.paths import assets_folder
 from dune_rl.core.settings import Settings
 from dune_rl.core.suggestions import closest, one_of
+from dune_rl.worlds.world import Rectangle
 
 _LARGEST_FILE = 16 * 2**20
 FORMAT = "dune_rl episode set"
 FORMAT_VERSION = 1
+_SHA256 = r"^[0-9a-f]{64}$"
 NAME_PATTERN = "[A-Za-z0-9][A-Za-z0-9_-]*"
 # With the unit at the end of each name; metres have a precision of 1 mm, and yaw one of 0.0001 rad.
 COLUMNS = ("episode", "world_seed", "start_x_m", "start_y_m", "start_yaw_rad", "goal_x_m", "goal_y_m")
@@ -26,7 +28,10 @@ COLUMNS = ("episode", "world_seed", "start_x_m", "start_y_m", "start_yaw_rad", "
 
 @dataclass(frozen=True)
 class SetEpisode:
-    """One row: the episode's number, its world's seed (None: the world has none), start and goal [m, rad]."""
+    """One row: the episode's number, its world's seed (None: the world has none), start and goal [m, rad].
+
+    In a set of several world files, `world_seed` is the number of the file.
+    """
 
     episode: int
     world_seed: int | None
@@ -41,12 +46,22 @@ class SetEpisode:
         return f"{self.episode},{seed},{places}"
 
 
+class SetWorldFile(Settings):
+    """A world file of a set: its path, from the folder of the set's file, and its SHA-256 (hexadecimal)."""
+
+    path: str = Field(min_length=1)
+    sha256: str = Field(pattern=_SHA256)
+
+
 class SetHeader(Settings):
     """What a set's JSON file says of it.
 
     `seed` is that of the actors' paths, of sensor noise and of all else that an episode draws, together with
     the episode's number. `settings` are the sections of an environment's settings that the set determines.
-    `footprint_radius_m` is that of the largest robot that the starts and goals have room for.
+    `footprint_radius_m` is that of the largest robot that the starts and goals have room for. `metrics` are
+    terms that are measured beside the chosen ones. `files` are those of imported worlds: where there are
+    several, rows have their numbers from 0 in place of world seeds, and `bounds` (xmin, xmax, ymin, ymax) [m]
+    holds all their worlds.
     """
 
     format: str
@@ -60,16 +75,20 @@ class SetHeader(Settings):
     goal_distance_m: tuple[float, float | None]
     seed: int = Field(ge=0)
     settings: dict[str, Any]
+    metrics: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    files: tuple[SetWorldFile, ...] = ()
+    bounds: Rectangle | None = None
     command: str
-    sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
+    sha256: str = Field(pattern=_SHA256)
 
 
 @dataclass(frozen=True)
 class EpisodeSet:
-    """A set's header and its episodes, numbered from 0."""
+    """A set's header and its episodes, numbered from 0; `folder` is that of its file."""
 
     header: SetHeader
     episodes: tuple[SetEpisode, ...]
+    folder: Path = field(default=Path(), compare=False)
 
     @property
     def name(self) -> str:
@@ -140,7 +159,7 @@ def read_episode_set(name: str) -> EpisodeSet:
     episodes = _parse_rows(rows_text, rows_file)
     if [one.episode for one in episodes] != list(range(header.episodes)):
         raise ConfigError(f"{rows_file} must have the episodes 0 to {header.episodes - 1}, one a line")
-    return EpisodeSet(header, episodes)
+    return EpisodeSet(header, episodes, file.parent)
 
 
 def write_episode_set(folder: Path, header: dict[str, Any], episodes: tuple[SetEpisode, ...]) -> EpisodeSet:
@@ -155,7 +174,7 @@ def write_episode_set(folder: Path, header: dict[str, Any], episodes: tuple[SetE
     for name, text in ((".csv", rows_text), (".json", json.dumps(full, indent=1) + "\n")):
         with write_atomically(folder / f"{full['name']}{name}") as temporary:
             temporary.write_text(text, encoding="utf-8", newline="\n")
-    return EpisodeSet(header_of_set, episodes)
+    return EpisodeSet(header_of_set, episodes, folder)
 
 
 def _read_text(file: Path) -> str:

@@ -1,36 +1,56 @@
-"""Recipes of episode sets, the package's and a user's own, and the episodes that they sample."""
+"""Recipes of episode sets, those of the package's sets, and the episodes that recipes sample."""
 
-import re
 import shlex
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import count
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dune_rl.config.build import build_world, make_simulation
-from dune_rl.config.compose import compose_environment, override_value
+from dune_rl.config.compose import compose_environment
 from dune_rl.config.schema import EnvConf
-from dune_rl.core.errors import ConfigError, WorldError
+from dune_rl.core.errors import WorldError
 from dune_rl.core.seeding import stream
-from dune_rl.evaluation.episode_sets.apply import footprint_radius_m, refuse_several_robots
-from dune_rl.evaluation.episode_sets.files import NAME_PATTERN, SetEpisode
+from dune_rl.evaluation.episode_sets.apply import footprint_radius_m
+from dune_rl.evaluation.episode_sets.files import SetEpisode
+from dune_rl.evaluation.episode_sets.world_files import describe_files
 from dune_rl.tasks.spawn import Spawner
+from dune_rl.worlds.settings import WorldSettings
 from dune_rl.worlds.world import World
 
-# conf/randomisation/worlds.yaml draws seeds from 1000 on, and the default sites have seed 0.
-FIRST_SITE = 500
-SITES = 50
-EPISODES = 200
-FAMILIES = ("flat", "inspection", "construction", "rubicon", "island")
 _TRIES = 2_000
-_SET_SEED = 140_000
+BARN_SCORE: dict[str, dict[str, Any]] = {"barn_score": {"reduce": "last", "initial": 0.0}}
 _NO_SEED = ", since the world has no seed"
 
 
-# Kinds of sets, of which every world family has one: the end of its name, its meaning, settings beside the
-# defaults, and how far goals lie from the start [m].
+@dataclass(frozen=True)
+class SetVersion:
+    """What the sets of one version have in common.
+
+    The sites of a set have world seeds from `first_site` on; those of sets with far goals from
+    `first_far_site` on. `randomisation=worlds` draws seeds from 1,000 to 1,000,000, and the default sites
+    have seed 0: neither is among them. `seed` is that of the first set; `robot` is the one whose footprint
+    starts and goals have room for.
+    """
+
+    suffix: str
+    episodes: int
+    sites: int
+    first_site: int
+    first_far_site: int
+    seed: int
+    robot: str
+
+
+V1 = SetVersion("-v1", 200, 50, 500, 500, 140_000, "rover_zero")
+FAMILIES = ("flat", "inspection", "construction", "rubicon", "island")
+
+# Kinds of sets: the end of its name, its meaning, settings beside the defaults, and how far goals lie from
+# the start [m].
 VARIANTS: tuple[tuple[str, str, str, tuple[float, float | None]], ...] = (
     ("", "goals on the world's own square, two walkers", "", (2.0, None)),
     (
@@ -51,8 +71,10 @@ class SetRecipe:
     """What a set is made from: a world, and `overrides` of the settings of its episodes.
 
     `words` are those of the command line after the name, if it is not one of the package's sets. `seed` is
-    that of everything that the episodes draw. With several `sites`, these have world seeds from `FIRST_SITE`
-    on; one site is the world as its settings have it.
+    that of everything that the episodes draw. With several `sites`, these have world seeds from `first_site`
+    on; one site is the world as its settings have it. Several world `files` are the sites instead. `metrics`
+    are terms that are measured beside those of an evaluation. Episodes begin at `start` (x, y, yaw) and end
+    at `goal` (x, y) [m, rad] where these are given.
     """
 
     name: str
@@ -61,23 +83,42 @@ class SetRecipe:
     meaning: str
     goal_distance_m: tuple[float, float | None]
     seed: int
-    episodes: int = EPISODES
-    sites: int = SITES
+    episodes: int
+    sites: int
+    first_site: int = V1.first_site
+    metrics: dict[str, dict[str, Any]] = field(default_factory=dict)
     words: tuple[str, ...] = ()
+    files: tuple[Path, ...] = ()
+    start: tuple[float, float, float] | None = None
+    goal: tuple[float, float] | None = None
 
     @cached_property
     def settings(self) -> EnvConf:
         """The settings of the episodes."""
         return compose_environment(self.world, self.overrides)
 
-    def header(self, sites: int) -> dict[str, Any]:
-        """The header of the set's file; see `SetHeader`."""
+    def world_of(self, site: int | None) -> WorldSettings:
+        """Settings of the world of a seed, or of the file of a number; None: as the settings have it."""
+        conf = self.settings.world
+        if self.files:
+            return conf.model_copy(update={"path": str(self.files[site or 0].absolute())})
+        return conf if site is None else conf.model_copy(update={"seed": site})
+
+    def header(self, sites: int, folder: Path = Path()) -> dict[str, Any]:
+        """The header of the set's file in `folder`; see `SetHeader`."""
         data = self.settings.model_dump(mode="json")
         determined = {key: data[key] for key in ("world", "weather", "randomisation")}
         determined["actors"] = {name: data["agents"][name] for name in self.settings.actors}
         determined["task"] = {key: data["task"][key] for key in ("spawn", "terminations")}
         seeded = self.words or hasattr(self.settings.world, "seed")
         places = f"{sites} sites" if sites > 1 else "one site" + ("" if seeded else _NO_SEED)
+        own: dict[str, Any] = {"metrics": self.metrics} if self.metrics else {}
+        if self.files:
+            own["files"] = describe_files(self.files, folder)
+            determined["world"] = {**data["world"], "path": own["files"][0]["path"]}
+        if len(self.files) > 1:
+            extents = np.array([build_world(self.world_of(site)).extent for site in range(len(self.files))])
+            own["bounds"] = [*np.where([True, False, True, False], extents.min(0), extents.max(0)).tolist()]
         return {
             "name": self.name,
             "description": f"{self.world}: {self.meaning}; {self.episodes} episodes on {places}",
@@ -88,53 +129,81 @@ class SetRecipe:
             "goal_distance_m": list(self.goal_distance_m),
             "seed": self.seed,
             "settings": determined,
+            **own,
             "command": shlex.join(["python", "-m", "dune_rl.episode_sets", "make", self.name, *self.words]),
         }
 
 
 def all_recipes() -> dict[str, SetRecipe]:
     """The recipes of the package's sets, by name."""
-    recipes = {}
-    for number, family in enumerate(FAMILIES):
-        for variant, (suffix, meaning, words, distances_m) in enumerate(VARIANTS):
-            name = f"{family}{suffix}-v1"
-            overrides = ("robot=rover_zero", *words.split(), *_OF_FAMILY.get((family, suffix), "").split())
-            # Another seed for each set.
-            seed = _SET_SEED + 10 * number + variant
-            recipes[name] = SetRecipe(name, family, overrides, meaning, distances_m, seed)
-    return recipes
+    recipes = [
+        _of_version(version, number, family, variant)
+        for version in (V1,)
+        for number, family in enumerate(FAMILIES)
+        for variant in range(len(VARIANTS))
+    ]
+    return {recipe.name: recipe for recipe in recipes}
+
+
+def _of_version(version: SetVersion, number: int, family: str, variant: int) -> SetRecipe:
+    suffix, meaning, words, distances_m = VARIANTS[variant]
+    overrides = (f"robot={version.robot}", *words.split(), *_OF_FAMILY.get((family, suffix), "").split())
+    return SetRecipe(
+        f"{family}{suffix}{version.suffix}",
+        family,
+        overrides,
+        meaning,
+        distances_m,
+        # Another seed for each set.
+        version.seed + 10 * number + variant,
+        version.episodes,
+        version.sites,
+        version.first_far_site if suffix == "-site" else version.first_site,
+    )
 
 
 def generate_episodes(recipe: SetRecipe) -> tuple[SetEpisode, ...]:
     """All episodes of a recipe: as many on each site, site after site. Slow: it builds every site."""
-    conf = recipe.settings
-    if recipe.sites == 1 or not hasattr(conf.world, "seed"):
-        return tuple(generate_on_site(recipe, None, range(recipe.episodes)))
+    if recipe.sites == 1 or not (recipe.files or hasattr(recipe.settings.world, "seed")):
+        return tuple(_generate_on(recipe, None, range(recipe.episodes)))
     each = recipe.episodes // recipe.sites
     found: list[SetEpisode] = []
-    seed = FIRST_SITE
-    while len(found) < recipe.episodes:
-        numbers = range(len(found), len(found) + each)
+    for site in range(recipe.sites) if recipe.files else count(recipe.first_site):
         try:
-            # Raises WorldError as well where the walkers have no path.
-            world = conf.world.model_copy(update={"seed": seed})
-            make_simulation(conf.model_copy(update={"world": world}), 1, recipe.seed).close()
-            found += generate_on_site(recipe, seed, numbers)
+            found += _generate_on(recipe, site, range(len(found), len(found) + each))
         except WorldError:
             # A site without room, such as one where no goal is far enough: the next one takes its place.
-            if seed > FIRST_SITE + 2 * recipe.sites:
+            if recipe.files or site > recipe.first_site + 2 * recipe.sites:
                 raise
-        seed += 1
+        if len(found) == recipe.episodes:
+            break
     return tuple(found)
 
 
-def generate_on_site(recipe: SetRecipe, world_seed: int | None, numbers: Iterable[int]) -> list[SetEpisode]:
-    """The episodes of these numbers, on the site of `world_seed` (None: the world has no seed)."""
-    conf = recipe.settings
-    world_conf = conf.world if world_seed is None else conf.world.model_copy(update={"seed": world_seed})
-    world = build_world(world_conf)
+def _generate_on(recipe: SetRecipe, site: int | None, numbers: Sequence[int]) -> list[SetEpisode]:
+    """As `generate_on_site`; raises WorldError, with the file's name, also where the walkers have no path."""
+    try:
+        if site is not None:
+            conf = recipe.settings.model_copy(update={"world": recipe.world_of(site)})
+            make_simulation(conf, 1, recipe.seed).close()
+        return generate_on_site(recipe, site, numbers)
+    except WorldError as error:
+        if not recipe.files:
+            raise
+        raise WorldError(f"{recipe.files[site or 0]}: {error}") from None
+
+
+def generate_on_site(recipe: SetRecipe, site: int | None, numbers: Iterable[int]) -> list[SetEpisode]:
+    """The episodes of these numbers, on the site of a world's seed or of a file's number; see `world_of`."""
+    conf, world = recipe.settings, build_world(recipe.world_of(site))
     spawner = Spawner(world, conf.task.spawn, footprint_radius_m(conf))
-    return [_episode(recipe, conf, world, spawner, world_seed, number) for number in numbers]
+    if recipe.start is None or recipe.goal is None:
+        return [_episode(recipe, conf, world, spawner, site, number) for number in numbers]
+    for what, (x, y) in (("start", recipe.start[:2]), ("goal", recipe.goal)):
+        reason = spawner.why_not(x, y)
+        if reason:
+            raise WorldError(f"the {what} ({x:g}, {y:g}) {reason}")
+    return [SetEpisode(number, site, recipe.start, recipe.goal) for number in numbers]
 
 
 def _episode(
@@ -157,45 +226,3 @@ def _episode(
     site = "the world" if world_seed is None else f"site {world_seed}"
     apart_m = f"at least {low:g} m" if high is None else f"{low:g} to {high:g} m"
     raise WorldError(f"{recipe.name}: {site} has no start and goal {apart_m} apart; take other distances")
-
-
-def own_recipe(
-    name: str, words: Sequence[str], episodes: int = 100, sites: int = 1, farthest: float | None = None,
-    seed: int = 0,
-) -> SetRecipe:  # fmt: skip
-    """A recipe from settings such as +world=NAME and robot=NAME; raises ConfigError where it cannot be one.
-
-    Goals lie at least `task.spawn.min_goal_distance_m` from the start, and at most `farthest` [m].
-    """
-    if name in all_recipes():
-        raise ConfigError(f"{name} is a set of the package; give yours another name")
-    if not re.fullmatch(NAME_PATTERN, name):
-        raise ConfigError(
-            f"a set's name has letters, digits, '-' and '_' alone, such as mine-v1 (got {name!r})"
-        )
-    world = override_value(words, "world")
-    if not isinstance(world, str):
-        raise ConfigError(f"the set {name} needs a world: +world=NAME")
-    others = [word for word in words if not word.lstrip("+").startswith("world=")]
-    conf = compose_environment(world, others)
-    refuse_several_robots(name, conf)
-    if episodes < 1 or sites < 1 or episodes % sites:
-        raise ConfigError(f"--episodes {episodes} must be a multiple of --sites {sites}, and both at least 1")
-    if sites > 1 and not hasattr(conf.world, "seed"):
-        raise ConfigError(f"the world {world} has no seed, and so one site; leave --sites out")
-    if conf.randomisation.distributions:
-        first = next(iter(conf.randomisation.distributions))
-        raise ConfigError(f"a set fixes its episodes; leave randomisation.{first} out, and take --sites N")
-    if seed < 0:
-        raise ConfigError(f"--seed must be at least 0 (got {seed})")
-    nearest = conf.task.spawn.min_goal_distance_m
-    if farthest is not None and farthest <= nearest:
-        raise ConfigError(
-            f"--farthest {farthest:g} must be more than task.spawn.min_goal_distance_m={nearest:g}"
-        )
-    distances = f"{nearest:g} m or more" if farthest is None else f"{nearest:g} to {farthest:g} m"
-    options = [f"--episodes={episodes}", f"--sites={sites}", f"--seed={seed}"]
-    options += [] if farthest is None else [f"--farthest={farthest:g}"]
-    meaning, limits_m = f"starts and goals {distances} apart", (nearest, farthest)
-    all_words = (*words, *options)
-    return SetRecipe(name, world, tuple(others), meaning, limits_m, seed, episodes, sites, all_words)

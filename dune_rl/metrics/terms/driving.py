@@ -35,9 +35,10 @@ class PathLength:
 class Spl:
     """Success weighted by path length (SPL), so far: 0 until `success` is 1.
 
-    Then it is the straight distance from the start to the first goal, over the length of the path to it or
-    that distance, whichever is more (Anderson et al. 2018, On Evaluation of Embodied Navigation Agents, where
-    the distance is along the shortest path: a straight line is a lower bound of it, and so of SPL).
+    Then it is the straight distance to the first goal, over the length of the path or that distance,
+    whichever is more (Anderson et al. 2018, On Evaluation of Embodied Navigation Agents, where the distance
+    is along the shortest path: a straight line is a lower bound of it, and so of SPL). Both count to where
+    the goal is reached, which is short of it: a straight drive has 1, and any detour less.
     """
 
     def __init__(self, num_rows: int, *, termination: str = "goal_reached") -> None:
@@ -59,8 +60,9 @@ class Spl:
         self._length_m += self._path(state, group)
         reached = group.ended_by(self._termination) & (self._share == 0.0)
         if reached.any():
-            longest = np.maximum(self._length_m, self._straight_m)
-            share = np.divide(self._straight_m, longest, out=np.ones_like(longest), where=longest > 0.0)
+            straight = np.maximum(self._straight_m - group.goal.distance, 0.0)
+            longest = np.maximum(self._length_m, straight)
+            share = np.divide(straight, longest, out=np.ones_like(longest), where=longest > 0.0)
             self._share = np.where(reached, share, self._share)
         clean = group.contacts.total == 0
         return np.where(clean, self._share, 0.0)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -127,13 +128,15 @@ def _world(config: Mapping[str, Any], row: Row) -> World | None:
     try:
         known = {key: value for key, value in config.items() if key in EnvConf.model_fields}
         world = validate(EnvConf, known).world
-        changed: dict[str, int] = {}
+        changed: dict[str, object] = {}
         for name, key in (("seed", "world_seed"), ("layout_seed", "randomisation/layout_seed")):
             value = _number(row, key)
             if name in type(world).model_fields and math.isfinite(value):
                 changed[name] = int(value)
+        if row.get("world_file"):
+            changed["path"] = str(Path(str(config["set"])).parent / str(row["world_file"]))
         return build_world(world.model_copy(update=changed))
-    except (DuneError, OSError, ValueError):
+    except (DuneError, KeyError, OSError, ValueError):
         return None
 
 

@@ -111,8 +111,8 @@ def paired_table(
                 Cell(f"{one.first} {MINUS} {one.second}"),
                 Cell(value, "" if math.isnan(difference.low) else f"{low} to {high}"),
                 Cell(str(difference.count)),
-                Cell(format_p(one.p_value), _why_no_p(one)),
-                Cell(format_p(one.adjusted_p)),
+                Cell(format_p(one.p_value, is_bound=one.p_is_bound), _why_no_p(one)),
+                Cell(format_p(one.adjusted_p, is_bound=one.p_is_bound)),
                 Cell(NOTHING if math.isnan(one.effect) else f"{one.effect:.2f}".replace("-", MINUS)),
             ]
         )
