@@ -156,9 +156,8 @@ PAGES: Mapping[str, HelpPage] = {
             ("python -m dune_rl.episode_sets make", "the package's sets again; builds all their sites"),
             ("python -m dune_rl.episode_sets make mine-v1 +world=NAME --episodes 50", "a set of your own"),
             (
-                "python -m dune_rl.episode_sets make barn +world=sdf 'world.path=FOLDER/*.world' "
-                "'start=[-2,3,90]' 'goal=[-2,13]'",
-                "an episode in each of several world files; start is x, y and degrees",
+                "python -m dune_rl.episode_sets make barn +world=sdf 'world.path=DIR/*.world'",
+                "an episode in each file; 'start=[x,y,degrees]' 'goal=[x,y]': all from there to there",
             ),
         ),
         (
