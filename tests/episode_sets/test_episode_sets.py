@@ -29,12 +29,22 @@ from dune_rl.evaluation.episode_sets.files import read_episode_set, set_names, s
 from dune_rl.evaluation.episode_sets.recipes import (
     FAMILIES,
     V1,
+    V2,
     VARIANTS,
+    SetVersion,
     all_recipes,
     generate_on_site,
 )
 
-RECIPES = all_recipes()
+RECIPES, NAMES = all_recipes(), set_names()
+# Those of each family and variant but for two crowds, and one of obstacle courses.
+FINAL = len(FAMILIES) * len(VARIANTS) - 2 + 1
+
+
+def version_of(name: str) -> SetVersion:
+    return next(version for version in (V1, V2) if name.endswith(version.suffix))
+
+
 # As one session of a machine differs from another: rows are rounded to a millimetre.
 ABOUT = 0.002
 
@@ -55,22 +65,30 @@ def with_defaults(settings: dict[str, Any], conf: EnvConf) -> dict[str, Any]:
 
 
 def test_every_family_has_every_variant() -> None:
-    assert set_names() == sorted(RECIPES)
-    assert len(RECIPES) == len(FAMILIES) * len(VARIANTS) == 15
+    assert {name for name in RECIPES if name.endswith("-v1")} < set(NAMES) <= set(RECIPES)
+    assert len(RECIPES) == 15 + FINAL == 29
 
 
-@pytest.mark.slow(all_but=["flat-v1", "inspection-v1", "island-crowd-v1", "construction-site-v1"])
-@pytest.mark.parametrize("name", RECIPES)
+@pytest.mark.slow(
+    all_but=["flat-v1", "island-crowd-v1", "construction-site-v1", "inspection-v2", "obstacle_course-v2"]
+)
+@pytest.mark.parametrize("name", NAMES)
 def test_a_set_is_as_its_recipe_says(name: str) -> None:
     episode_set, recipe = read_episode_set(name), RECIPES[name]
     rows, seeds = episode_set.episodes, [one.world_seed for one in episode_set.episodes]
-    assert len(rows) == V1.episodes
+    version = version_of(name)
+    assert len(rows) == version.episodes
     if recipe.world == "flat":
         assert set(seeds) == {None}
     else:
         drawn = yaml.safe_load((conf_folder() / "randomisation" / "worlds.yaml").read_text())["world_seed"]
-        assert len(set(seeds)) == V1.sites
-        assert all(0 < seed < drawn["low"] for seed in seeds if seed is not None)
+        assert len(set(seeds)) == version.sites
+        # The sites of no training, nor of another version.
+        first = V1.first_site if version is V1 else drawn["high"] + 1
+        assert all(
+            first <= seed < (drawn["low"] if version is V1 else 2**24)
+            for seed in (int(one or 0) for one in seeds)
+        )
     header = json.loads(json.dumps(recipe.header(len(set(seeds)))))
     stated = episode_set.header.model_dump(mode="json")
     # A set that was made before there was a setting has its default.
@@ -82,11 +100,11 @@ def test_a_set_is_as_its_recipe_says(name: str) -> None:
     low, high = recipe.goal_distance_m
     assert apart.min() >= low and apart.max() <= (high or np.inf)
     # No two rows are the same case.
-    assert len({row.line().partition(",")[2] for row in rows}) == V1.episodes
+    assert len({row.line().partition(",")[2] for row in rows}) == version.episodes
 
 
-@pytest.mark.slow(all_but=["flat-v1", "inspection-crowd-v1", "construction-site-v1"])
-@pytest.mark.parametrize("name", RECIPES)
+@pytest.mark.slow(all_but=["flat-v1", "construction-site-v1", "obstacle_course-v2"])
+@pytest.mark.parametrize("name", NAMES)
 def test_rows_come_out_of_their_recipe_again_and_start(name: str) -> None:
     episode_set = read_episode_set(name)
     numbers = [0, 3]
@@ -99,7 +117,7 @@ def test_rows_come_out_of_their_recipe_again_and_start(name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", RECIPES)
+@pytest.mark.parametrize("name", NAMES)
 def test_all_episodes_start(name: str) -> None:
     assert faulty_episodes(read_episode_set(name)) == []
 
@@ -178,8 +196,8 @@ def test_a_changed_set_is_refused(tmp_path: Path) -> None:
     _copy("flat-v1", tmp_path).with_suffix(".csv").unlink()
     with pytest.raises(ConfigError, match="a set has a"):
         read_episode_set(str(file))
-    with pytest.raises(ConfigError, match="there is no episode set 'flat-v2'; did you mean"):
-        read_episode_set("flat-v2")
+    with pytest.raises(ConfigError, match="there is no episode set 'flat-v3'; did you mean"):
+        read_episode_set("flat-v3")
 
 
 def test_a_set_of_ones_own(tmp_path: Path) -> None:
@@ -225,7 +243,7 @@ def test_the_command_makes_a_set_of_ones_own(
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("flat-v2", "there is no recipe 'flat-v2'; did you mean flat-v1? For one of your own give settings"),
+        ("flat-v3", "there is no recipe 'flat-v3'; did you mean flat-v1? For one of your own give settings"),
         ("flat-v1 --episodes 3", "--episodes is for a set of your own; add its settings: +world=NAME"),
         ("robot=leo_rover", "settings are for one set: make NAME robot=leo_rover"),
         ("mine-v1 robot=leo_rover", "the set mine-v1 needs a world: +world=NAME"),

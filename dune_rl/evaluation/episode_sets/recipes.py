@@ -47,6 +47,8 @@ class SetVersion:
 
 
 V1 = SetVersion("-v1", 200, 50, 500, 500, 140_000, "rover_zero")
+# Of the package's robots the HyperDog is the largest, so that all of them drive on these sets.
+V2 = SetVersion("-v2", 1_000, 250, 5_000_000, 5_100_000, 240_000, "hyperdog")
 FAMILIES = ("flat", "inspection", "construction", "rubicon", "island")
 
 # Kinds of sets: the end of its name, its meaning, settings beside the defaults, and how far goals lie from
@@ -64,6 +66,8 @@ VARIANTS: tuple[tuple[str, str, str, tuple[float, float | None]], ...] = (
 )
 # What the sets of a variant need of one family: on the land of a smaller island no two places are 15 m apart.
 _OF_FAMILY = {("island", "-site"): "world.radius_m=20"}
+# Sets that only the first version has.
+_FIRST_ALONE = {("rubicon", "-crowd"), ("island", "-crowd")}
 
 
 @dataclass(frozen=True)
@@ -138,11 +142,12 @@ def all_recipes() -> dict[str, SetRecipe]:
     """The recipes of the package's sets, by name."""
     recipes = [
         _of_version(version, number, family, variant)
-        for version in (V1,)
+        for version in (V1, V2)
         for number, family in enumerate(FAMILIES)
-        for variant in range(len(VARIANTS))
+        for variant, (suffix, *_) in enumerate(VARIANTS)
+        if version is V1 or (family, suffix) not in _FIRST_ALONE
     ]
-    return {recipe.name: recipe for recipe in recipes}
+    return {recipe.name: recipe for recipe in [*recipes, _obstacle_courses()]}
 
 
 def _of_version(version: SetVersion, number: int, family: str, variant: int) -> SetRecipe:
@@ -159,6 +164,26 @@ def _of_version(version: SetVersion, number: int, family: str, variant: int) -> 
         version.episodes,
         version.sites,
         version.first_far_site if suffix == "-site" else version.first_site,
+    )
+
+
+def _obstacle_courses() -> SetRecipe:
+    """Narrow places of every difficulty: the density of a course follows from its seed."""
+    overrides = (
+        *("robot=rover_zero", "actors=none", "world.fill=[0.1,0.3]"),
+        *("task.spawn.min_goal_distance_m=7", "task.spawn.passage_m=0.46"),
+    )
+    return SetRecipe(
+        f"obstacle_course{V2.suffix}",
+        "obstacle_course",
+        overrides,
+        "goals at the other end of the course",
+        (7.0, None),
+        V2.seed + 10 * len(FAMILIES),
+        V2.episodes,
+        V2.sites,
+        V2.first_site,
+        metrics=BARN_SCORE,
     )
 
 
