@@ -243,7 +243,7 @@ def test_the_command_makes_a_set_of_ones_own(
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("flat-v3", "there is no recipe 'flat-v3'; did you mean flat-v1? For one of your own give settings"),
+        ("flat-v3", "there is no recipe 'flat-v3'; did you mean flat-v2? For one of your own give settings"),
         ("flat-v1 --episodes 3", "--episodes is for a set of your own; add its settings: +world=NAME"),
         ("robot=leo_rover", "settings are for one set: make NAME robot=leo_rover"),
         ("mine-v1 robot=leo_rover", "the set mine-v1 needs a world: +world=NAME"),
