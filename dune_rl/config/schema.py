@@ -272,13 +272,17 @@ class Conf(EnvConf):
 
     @model_validator(mode="after")
     def _evaluations_have_worlds_of_their_own(self) -> Self:
-        seeds, drawn = self.learning.evaluation.world_seeds, self.randomisation.world_seed
+        seeds, drawn = (
+            self.learning.evaluation.world_seeds,
+            self.randomisation.distributions.get("world_seed"),
+        )
         if seeds is None:
             return self
         setting = f"learning.evaluation.world_seeds=[{seeds[0]},{seeds[1]}]"
-        if "seed" not in type(self.world).model_fields:
+        own_seed = getattr(self.world, "seed", None)
+        if own_seed is None:
             raise ValueError(f"{setting}: world={self.world.name} has no seed; leave it null")
-        low, high = (self.world.seed, self.world.seed) if drawn is None else drawn.limits
+        low, high = (own_seed, own_seed) if drawn is None else drawn.limits
         if seeds[0] > seeds[1]:
             raise ValueError(f"{setting}: the first must not be above the second")
         if seeds[0] <= high and low <= seeds[1]:
