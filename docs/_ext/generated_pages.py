@@ -24,6 +24,8 @@ from dune_rl.core import paths
 from dune_rl.core.registry import Registry
 from dune_rl.core.settings import Settings
 from dune_rl.env.randomisation import RandomisationConf
+from dune_rl.learning.crossq.settings import CrossqConf
+from dune_rl.learning.imitation.settings import ImitationConf
 from dune_rl.learning.ppo.settings import PpoConf
 from dune_rl.learning.sac.settings import SacConf
 from dune_rl.learning.settings import LearningConf
@@ -52,7 +54,12 @@ SECTIONS: Mapping[str, tuple[Any, str]] = {
     "physics": (PhysicsConf, "physics/bullet"),
     "randomisation": (RandomisationConf, "randomisation/none"),
 }
-ALGORITHMS: Mapping[str, type[Settings]] = {"sac": SacConf, "ppo": PpoConf}
+ALGORITHMS: Mapping[str, type[Settings]] = {
+    "sac": SacConf,
+    "crossq": CrossqConf,
+    "ppo": PpoConf,
+    "imitation": ImitationConf,
+}
 # Commands that take no settings of an environment.
 _ALONE: Mapping[str, tuple[type[Settings], HelpPage]] = {
     "engines": (EnginesConf, PAGES["engines"]),

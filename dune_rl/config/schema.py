@@ -154,6 +154,9 @@ class EnvConf(Settings):
         groups = self.groups
         names = [group.name for group in groups]
         for path, sensors in self._sensing_groups():
+            observed = [conf.privileged for conf in sensors.values() if conf.observed]
+            if observed and all(observed):
+                raise ValueError(f"{path}: all are privileged, so that policies observe nothing; add another")
             for sensor, conf in sensors.items():
                 for name in getattr(conf, "groups", ()):
                     _require(f"{path}.{sensor}.groups", "group", name, names)

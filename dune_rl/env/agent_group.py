@@ -416,6 +416,11 @@ class AgentGroup:
             self.start_scans()
         return found
 
+    @property
+    def privileged(self) -> frozenset[str]:
+        """Names of the readings that critics alone may use."""
+        return frozenset() if self.suite is None else self.suite.privileged
+
     def observe(self) -> dict[str, Reading]:
         """Observations by sensor name, each (N, ...). Repeated calls return the same values."""
         return {} if self.suite is None else self.suite.observe()

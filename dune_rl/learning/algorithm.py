@@ -35,6 +35,13 @@ class LearnerContext:
     folder: Path
     device: torch.device
     algorithm: str
+    # `spec` with the privileged parts of the observation, if there are any.
+    critic_spec: PolicySpec | None = None
+
+    @property
+    def whole_spec(self) -> PolicySpec:
+        """What critics observe: the policy's spec, and parts that are privileged."""
+        return self.critic_spec or self.spec
 
 
 class Algorithm(ABC):

@@ -13,7 +13,7 @@ from torchrl.envs import EnvBase
 from dune_rl.core.errors import CheckpointError, ConfigError, DuneWarning
 from dune_rl.core.suggestions import one_of
 from dune_rl.learning.algorithm import Algorithm, LearnerContext
-from dune_rl.learning.checkpoint import CHECKPOINT_FILE, read_policy_file
+from dune_rl.learning.checkpoint import BEST_POLICY_FILE, CHECKPOINT_FILE, read_policy_file
 from dune_rl.learning.group_policy import Deterministic, GroupPolicy
 from dune_rl.learning.policy_spec import GroupMismatchError, PolicyMismatchError, PolicySpec
 from dune_rl.learning.registry import ALGORITHMS
@@ -45,6 +45,7 @@ def build_learners(
             folder=folder,
             device=device,
             algorithm=conf.name,
+            critic_spec=PolicySpec.of(env, group, privileged=True),
         )
         frozen = conf.frozen(group)
         if frozen is None:
@@ -124,7 +125,15 @@ def start_learners(learners: Mapping[str, Algorithm], conf: LearningConf) -> Non
         if "learner" not in entry:
             note = f"{setting}: {source} has a policy alone; its critics, which teach it, begin anew"
             warnings.warn(note, DuneWarning, stacklevel=2)
-        learner.start_from(entry.get("learner", entry))
+        try:
+            learner.start_from(entry.get("learner", entry))
+        except RuntimeError:
+            # The policies' networks are the same, by the check above.
+            raise CheckpointError(
+                f"{setting}: {source} has critics of another shape.\n"
+                "Use the privileged sensors and the algorithm's settings of its run, or start from its "
+                f"{BEST_POLICY_FILE}, which has a policy alone."
+            ) from None
 
 
 def describe_missing_start(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from dune_rl.bodies.motion import TurningCircle
@@ -77,12 +77,16 @@ class PolicySpec:
     turning: TurningCircle | None = field(default=None, compare=False)
 
     @classmethod
-    def of(cls, env: "EnvBase", group: str) -> "PolicySpec":
+    def of(cls, env: "EnvBase", group: str, *, privileged: bool = False) -> "PolicySpec":
+        """The spec of a group of `env`, with the `privileged` parts of its observation or without them."""
+        # Environments of others have none.
+        hidden = getattr(env, "privileged", {}).get(group, ())
         # All agents of all scenes have the bounds of the first.
         action = env.full_action_spec[group, "action"].space
         observation = {
             key: (spec.space.low[0, 0].numpy(), spec.space.high[0, 0].numpy())
             for key, spec in env.observation_spec[group, "observation"].items()
+            if privileged or key not in hidden
         }
         found = cls.of_bounds(observation, (action.low[0, 0].numpy(), action.high[0, 0].numpy()))
         # Environments of others have no such bodies.
@@ -149,7 +153,9 @@ class PolicySpec:
     def pack(self, observation: TensorDictBase) -> PackedObservation:
         """The parts of `observation` (...), flat and side by side."""
         shape = observation.batch_size
-        floats, octets = [torch.zeros(*shape, 0)], [torch.zeros(*shape, 0, dtype=torch.uint8)]
+        device = observation.device
+        floats = [torch.zeros(*shape, 0, device=device)]
+        octets = [torch.zeros(*shape, 0, dtype=torch.uint8, device=device)]
         for key in self.keys:
             part = observation.get(key)
             if key in self.sizes:
@@ -169,6 +175,16 @@ class PolicySpec:
             starts[image.uint8] = start + image.size
             images.append(matrix[..., start : start + image.size].unflatten(-1, image.shape))
         return vectors, images
+
+    def select(self, packed: PackedObservation, part: "PolicySpec") -> PackedObservation:
+        """Of observations packed by this spec, those parts that `part` has too, packed by it."""
+        if part.keys == self.keys:
+            return packed
+        vectors, images = self.unpack(packed)
+        values = dict(zip(self.sizes, vectors.split(list(self.sizes.values()), -1), strict=True))
+        values |= zip(self.images, images, strict=True)
+        chosen = {key: values[key] for key in part.keys}
+        return part.pack(TensorDict(chosen, vectors.shape[:-1], device=vectors.device))
 
     def plain(self) -> dict[str, Any]:
         """Containers that `torch.load(weights_only=True)` reads."""

@@ -9,6 +9,7 @@ from dune_rl.learning.settings import LearningConf
 
 # Our algorithms' settings, which can be imported without PyTorch.
 _OWN_SETTINGS = {
+    "crossq": "dune_rl.learning.crossq.settings:CrossqConf",
     "imitation": "dune_rl.learning.imitation.settings:ImitationConf",
     "ppo": "dune_rl.learning.ppo.settings:PpoConf",
     "sac": "dune_rl.learning.sac.settings:SacConf",
@@ -29,6 +30,7 @@ ALGORITHMS = AlgorithmRegistry(
     "algorithm",
     "dune_rl.learning.registry:ALGORITHMS",
     own={
+        "crossq": "dune_rl.learning.crossq.learner:Crossq",
         "imitation": "dune_rl.learning.imitation.learner:Imitation",
         "ppo": "dune_rl.learning.ppo.learner:Ppo",
         "sac": "dune_rl.learning.sac.learner:Sac",

@@ -29,6 +29,9 @@ class SensorSettings(Settings):
     realism: Annotated[SerializeAsAny[RealismConf], BeforeValidator(_reading_realism)] | None = Field(
         None, description="faults of a real device; null: exact, or the default device"
     )
+    privileged: bool = Field(
+        False, description="whether critics alone read it in training, so that policies do without it"
+    )
     observed: bool = Field(True, description="whether it is observed; false: robots only navigate by it")
 
     def mounted_on(self, carrier: SensorCarrier) -> Self:

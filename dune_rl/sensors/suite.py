@@ -30,7 +30,8 @@ class SensorSuite:
 
     `settings` are those of `conf` with the carrier's mounts, and realism for all sensors if any has it.
     `sensors` have those that are read, each after the sensors that it reads itself. `bounds` are the lowest
-    and highest values of each reading, in the order of the observation. `needs_joints` tells whether a sensor
+    and highest values of each reading, in the order of the observation; of those in `privileged` no policy
+    knows. `needs_joints` tells whether a sensor
     reads the joints' state. `navigation` is what the robots know of their own motion where any sensor has the
     faults of a real device, else None.
 
@@ -72,6 +73,12 @@ class SensorSuite:
         self.bounds: dict[str, Bounds] = {}
         for sensor in self._observed:
             self.bounds |= sensor.bounds()
+        self.privileged = frozenset(
+            reading
+            for name, each in self.settings.items()
+            if each.observed and each.privileged
+            for reading in self.sensors[name].bounds()
+        )
 
     def begin(self, mask: Flags, now: GroupState, state: State) -> None:
         """Read at the start of the episodes in `mask` (N,), which have no past."""

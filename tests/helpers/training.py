@@ -91,7 +91,13 @@ def make_sac(
 
 
 def make_context(
-    spec: PolicySpec, folder: Path, *, total_frames: int = 1, agents: int = 1, group: str = "rover"
+    spec: PolicySpec,
+    folder: Path,
+    *,
+    total_frames: int = 1,
+    agents: int = 1,
+    group: str = "rover",
+    critic_spec: PolicySpec | None = None,
 ) -> LearnerContext:
     """What a learner of one group is built for, on the CPU."""
     return LearnerContext(
@@ -102,6 +108,7 @@ def make_context(
         folder=folder,
         device=torch.device("cpu"),
         algorithm="sac",
+        critic_spec=critic_spec,
     )
 
 

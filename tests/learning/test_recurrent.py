@@ -9,16 +9,21 @@ from point_mass import PointMass, make_point_mass, make_team, make_two_groups
 from tensordict import TensorDict
 from training import SMALL_PPO, assert_halves_make_a_whole, make_context, trainer
 
+from dune_rl.config.build import make_learning_env, make_simulation
+from dune_rl.config.commands import ViewConf
+from dune_rl.config.compose import compose, compose_environment
 from dune_rl.core.errors import ConfigError
 from dune_rl.env.controllers import PolicyController
+from dune_rl.learning.checkpoint import write_checkpoint_file
 from dune_rl.learning.collector import TransitionCollector
 from dune_rl.learning.group_policy import Deterministic, GroupPolicy, select_group
 from dune_rl.learning.networks.policy import BEGINS, MEMORY, Architecture, make_policy_network
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.ppo.learner import Ppo
 from dune_rl.learning.ppo.settings import PpoConf
-from dune_rl.learning.saved_policies import load_policy
+from dune_rl.learning.saved_policies import load_policy, policy_entry
 from dune_rl.learning.settings import CollectorConf, PopulationConf
+from dune_rl.reporting.views.episode import EpisodeView
 
 TINY = PolicySpec({"goal": 2}, (-1.0,), (1.0,))
 RECURRENT = SMALL_PPO.model_copy(update={"recurrent": 8, "hidden": (16,)})
@@ -100,3 +105,40 @@ def test_a_controller_says_once_whose_episodes_begin() -> None:
         controller.reset(np.array(mask), None)  # type: ignore[arg-type]
     controller.act(None, None, dict)  # type: ignore[arg-type]
     assert told == [[True, True], [False, False], [False, True]]
+
+
+@pytest.mark.slow
+def test_saved_policies_remember_in_true_physics(tmp_path: Path) -> None:
+    words = ["actors=none", "sensors=[goal,velocity]"]
+    conf = compose(ViewConf, ["+world=flat", *words])
+    env = make_learning_env(conf, 2, 0)
+    ppo = Ppo(make_context(PolicySpec.of(env, "rover"), tmp_path), PpoConf(hidden=(8,), recurrent=4))
+    content = {"groups": {"rover": policy_entry(ppo)}, "config": {}, "frames": 0}
+    file = tmp_path / "policy.pt"
+    write_checkpoint_file(file, "policy", content)
+    policy, _ = load_policy(file, env)
+    observation = env.reset()
+    memories = []
+    for _ in range(3):
+        observation = policy(observation)
+        memories.append(observation["rover", MEMORY].abs().amax().item())
+        observation = env.step_mdp(env.step(observation))
+    memories.append(policy(env.reset())["rover", MEMORY].abs().amax().item())
+    assert memories[0] == memories[3] == 0.0 < min(memories[1:3])
+    env.close()
+    agents = {
+        "idle": {"body": "leo_rover"},
+        "rover": {
+            "body": "rover_zero",
+            "controller": {"checkpoint": str(file)},
+            "sensors": ["goal", "velocity"],
+        },
+    }
+    simulation = make_simulation(compose_environment("flat", (), {"agents": agents}), 1, 0)
+    simulation.reset()
+    for _ in range(3):
+        simulation.advance({"idle": np.zeros((1, 1, 2), np.float32)})
+    simulation.close()
+    view = EpisodeView(conf.model_copy(update={"checkpoint": str(file)}))
+    assert [ended for _, ended in zip(range(3), view.run(), strict=False)] == [False] * 3
+    view.close()

@@ -111,6 +111,11 @@ class DuneEnv(CopiedByReplay, EnvBase):
             if group.description.turning_radius_m
         }
 
+    @property
+    def privileged(self) -> dict[str, frozenset[str]]:
+        """The parts of each group's observation that critics alone may use."""
+        return {group.name: group.privileged for group in self._groups}
+
     # -- EnvBase interface ------------------------------------------------------------------------
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDict:

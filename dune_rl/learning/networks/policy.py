@@ -1,7 +1,7 @@
 """The policy network: one feature vector of all parts of an observation, then a tanh-normal action."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -205,13 +205,15 @@ _LOG_SCALE_MIN, _LOG_SCALE_MAX = -5.0, 2.0
 _SMALL = 0.01
 
 
-def perceptron(n_in: int, hidden: Sequence[int], n_out: int) -> nn.Sequential:
-    """Linear layers with a ReLU after each but the last."""
+def perceptron(
+    n_in: int, hidden: Sequence[int], n_out: int, norm: Callable[[int], nn.Module] | None = None
+) -> nn.Sequential:
+    """Linear layers with a ReLU after each but the last, and a layer `norm(width)` before each."""
     layers: list[nn.Module] = []
     for width in hidden:
-        layers += [nn.Linear(n_in, width), nn.ReLU()]
+        layers += [*([] if norm is None else [norm(n_in)]), nn.Linear(n_in, width), nn.ReLU()]
         n_in = width
-    return nn.Sequential(*layers, nn.Linear(n_in, n_out))
+    return nn.Sequential(*layers, *([] if norm is None else [norm(n_in)]), nn.Linear(n_in, n_out))
 
 
 class Actor(nn.Module):

@@ -14,13 +14,18 @@ from torchrl.objectives.value import GAE
 
 from dune_rl.learning.algorithm import Algorithm, LearnerContext
 from dune_rl.learning.group_policy import GroupPolicy
+from dune_rl.learning.networks.critic import (
+    CRITIC_FEATURES,
+    CriticFeatures,
+    Value,
+    split_encoders,
+)
 from dune_rl.learning.networks.policy import (
     BEGINS,
     FEATURES,
     MEMORY,
     Architecture,
     Features,
-    perceptron,
 )
 from dune_rl.learning.policy_spec import PackedObservation
 from dune_rl.learning.ppo.settings import PpoConf
@@ -39,7 +44,9 @@ class Ppo(Algorithm):
 
     def __init__(self, context: LearnerContext, conf: PpoConf) -> None:
         self._conf = conf
-        self.architecture = replace(Architecture.of(conf), recurrent=conf.recurrent)
+        spec, whole = context.spec, context.whole_spec
+        architecture = replace(Architecture.of(conf), recurrent=conf.recurrent)
+        self.architecture, privileged = split_encoders(architecture, spec, whole)
         super().__init__(context)
         network = self.policy.network
         self._actor = network[-1]
@@ -47,10 +54,13 @@ class Ppo(Algorithm):
         self._features: Features = network[0].module
         # A GRU's first layer is its only one, so that what it gives is what it remembers.
         self._memory: GRUModule | None = network[1] if conf.recurrent else None
-        self._critic = perceptron(conf.recurrent or self._features.size, conf.hidden, 1).to(context.device)
+        self._critic_features = CriticFeatures(self._features, spec, whole, privileged).to(context.device)
+        size = (conf.recurrent or self._features.size) + self._critic_features.size
+        self._critic = Value(size, conf.hidden, context.num_agents if conf.central_critic else 1)
+        self._critic.to(context.device)
         self.loss = ClipPPOLoss(
             self._actor,
-            TensorDictModule(self._critic, in_keys=[FEATURES], out_keys=[_VALUE]),
+            TensorDictModule(self._critic, in_keys=[CRITIC_FEATURES], out_keys=[_VALUE]),
             clip_epsilon=conf.clip,
             entropy_coeff=conf.entropy_coefficient,
             critic_coeff=conf.critic_coefficient,
@@ -62,7 +72,7 @@ class Ppo(Algorithm):
         )
         self._parameters = [
             parameter
-            for module in (self.loss, self._features, self._memory)
+            for module in (self.loss, self._features, self._memory, self._critic_features)
             for parameter in (() if module is None else module.parameters())
             if parameter.requires_grad
         ]
@@ -78,7 +88,7 @@ class Ppo(Algorithm):
     def absorb(self, batch: TensorDictBase, frames: int) -> None:
         """Keep the batch until `update`."""
         self._frames = frames
-        after, spec = batch.get("next"), self.context.spec
+        after, spec = batch.get("next"), self.context.whole_spec
         now, later = (spec.pack(each.get("observation")) for each in (batch, after))
         kept = TensorDict(
             {
@@ -109,9 +119,9 @@ class Ppo(Algorithm):
             rate = self._conf.learning_rate_at(min(1.0, self._frames / self.context.total_frames))
             self.optimiser.param_groups[0]["lr"] = rate
             values = {**self._learn(batch), "ppo/learning_rate": rate}
-        seen = batch["floats"][batch[_VALID].squeeze(-1)][:, : self.context.spec.observation_size]
-        if len(seen):
-            self._features.normaliser.observe(seen)
+        valid = batch[_VALID].squeeze(-1)
+        if valid.any():
+            self._critic_features.observe(_packed(batch[valid]))
         return values
 
     def _learn(self, batch: TensorDict) -> dict[str, float]:
@@ -137,15 +147,15 @@ class Ppo(Algorithm):
         """Add the probabilities of the actions, and advantages and returns, to the batch (M, G, T)."""
         batch["action_log_prob"] = self._actor[-1].get_dist(batch).log_prob(batch["action"])
         features = self._encode(batch)
-        batch[_VALUE] = self._critic(features)
-        batch["next", _VALUE] = self._critic(self._encode_next(batch, features))
+        for part, seen in ((batch, features), (batch["next"], self._encode_next(batch, features))):
+            part[_VALUE] = self._critic(self._critic_features(seen, _packed(part)))
         valid = batch.pop(_VALID)
         self._advantage(batch, time_dim=2)
         batch[_VALID] = valid
 
     def _encode(self, rows: TensorDictBase) -> Tensor:
         """What actor and critic read in `rows`, which are sequences for a recurrent policy."""
-        features = self._features.encode(PackedObservation(rows["floats"], rows["octets"]))
+        features = self._critic_features.encode_public(_packed(rows))
         if self._memory is None:
             return features
         with set_recurrent_mode(True):
@@ -157,8 +167,7 @@ class Ppo(Algorithm):
 
     def _encode_next(self, batch: TensorDict, features: Tensor) -> Tensor:
         """The same after each step of the batch (M, G, T), before any reset, from `features` at the steps."""
-        after = batch["next"]
-        later = self._features.encode(PackedObservation(after["floats"], after["octets"]))
+        later = self._critic_features.encode_public(_packed(batch["next"]))
         if self._memory is None:
             return later
         read = TensorDict(
@@ -170,7 +179,9 @@ class Ppo(Algorithm):
 
     def _step(self, rows: TensorDict) -> dict[str, Tensor]:
         """One gradient step from `rows` (n, G), or (n, G, T)."""
-        rows = rows.copy().set(FEATURES, self._encode(rows))
+        features = self._encode(rows)
+        rows = rows.copy().set(FEATURES, features)
+        rows.set(CRITIC_FEATURES, self._critic_features(features, _packed(rows)))
         losses = self.loss(rows)
         self.optimiser.zero_grad()
         (losses["loss_objective"] + losses["loss_critic"] + losses["loss_entropy"]).backward()
@@ -191,19 +202,25 @@ class Ppo(Algorithm):
         return {
             **super().state_dict(),
             "loss": {key: value for key, value in loss.items() if isinstance(value, Tensor)},
+            "privileged": self._critic_features.state_dict(),
             "optimiser": self.optimiser.state_dict(),
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         super().load_state_dict(state)
-        self._load_loss(state["loss"])
+        self._load_critic(state)
         self.optimiser.load_state_dict(state["optimiser"])
 
     def start_from(self, saved: Mapping[str, Any]) -> None:
         """Begin with the policy, and if it is there with the critic."""
         super().start_from(saved)
         if "loss" in saved:
-            self._load_loss(saved["loss"])
+            self._load_critic(saved)
 
-    def _load_loss(self, weights: Mapping[str, Tensor]) -> None:
-        self.loss.load_state_dict({**self.loss.state_dict(), **weights})
+    def _load_critic(self, state: Mapping[str, Any]) -> None:
+        self.loss.load_state_dict({**self.loss.state_dict(), **state["loss"]})
+        self._critic_features.load_state_dict(state["privileged"])
+
+
+def _packed(rows: TensorDictBase) -> PackedObservation:
+    return PackedObservation(rows["floats"], rows["octets"])

@@ -23,6 +23,9 @@ class PpoConf(ActorCriticConf):
         0.7, gt=0.01, lt=7, description="of the noise on actions before they are squashed into their bounds"
     )
     reward_scale: float = Field(0.1, gt=0, description="multiplies the reward in the loss, never in the logs")
+    central_critic: bool = Field(
+        False, description="whether the critic sees what all agents of the group observe (MAPPO)"
+    )
     recurrent: int = Field(
         0, ge=0, le=4096, description="units of a GRU, by which a policy remembers its episode; 0: none"
     )

@@ -1,6 +1,6 @@
 """The folder of a training run: its checkpoint, and the files of policies and experience."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -81,10 +81,19 @@ class RunFolder:
         content = {"groups": groups, "config": self.config, **progress}
         write_checkpoint_file(self.path / CHECKPOINT_FILE, "checkpoint", content)
         self.save_policies(learners, frames)
-        named = {entry["experience"]["file"] for entry in groups.values() if entry["experience"]}
+        named = {name for entry in groups.values() for name in _files(entry["experience"] or {})}
         for file in self.path.glob(f"{_EXPERIENCE}-*.*"):
             if file.name not in named:
                 file.unlink()
+
+
+def _files(experience: Mapping[str, Any]) -> Iterator[str]:
+    """The names of the files of saved experience, which may have several parts."""
+    for key, value in experience.items():
+        if key == "file":
+            yield value
+        elif isinstance(value, Mapping):
+            yield from _files(value)
 
 
 try:

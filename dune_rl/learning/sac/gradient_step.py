@@ -5,13 +5,14 @@ from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
-from tensordict.nn import TensorDictModule, TensorDictSequential
+from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictModule, TensorDictSequential
 from torch import Tensor, nn
-from torchrl.objectives import SACLoss, SoftUpdate
+from torchrl.objectives import CrossQLoss, SACLoss, SoftUpdate
 
+from dune_rl.learning.networks.critic import CRITIC_FEATURES, CriticFeatures
 from dune_rl.learning.networks.policy import FEATURES, Features, perceptron
 from dune_rl.learning.policy_spec import PackedObservation, PolicySpec
-from dune_rl.learning.sac.settings import SacConf
+from dune_rl.learning.sac.settings import MaximumEntropyConf, SacConf
 
 MakeBatch = Callable[[Callable[[PackedObservation], Tensor]], TensorDict]
 
@@ -22,39 +23,67 @@ class GradientStep:
     The normaliser of the policy's features is no part of the loss; their encoder serves the critics too.
     """
 
+    # Of Adam: PyTorch's own.
+    _betas = (0.9, 0.999)
+
     def __init__(
-        self, conf: SacConf, spec: PolicySpec, network: TensorDictSequential, device: torch.device
+        self,
+        conf: MaximumEntropyConf,
+        spec: PolicySpec,
+        network: TensorDictSequential,
+        critic_features: CriticFeatures,
+        device: torch.device,
     ) -> None:
         self._conf = conf
         self._device = device
         self._reduced = conf.resolved(str(device)).precision == "bfloat16"
         self._features: Features = network[0].module
-        # The loss wants the entropy of actions in physical units, which the scaling shifts.
-        entropy = -float(spec.action_size) if conf.target_entropy is None else conf.target_entropy
-        self.loss = _TwinCriticLoss(
-            network[1],
-            make_action_value(spec, self._features.size, conf.hidden, device),
-            num_qvalue_nets=2,
-            loss_function="l2",
-            alpha_init=conf.initial_entropy_coefficient,
-            target_entropy=entropy + float(spec.half_range.log().sum()),
-            delay_qvalue=True,
-        )
+        self._critic_features = critic_features
+        size = self._features.size + critic_features.size
+        key = CRITIC_FEATURES if critic_features.size else FEATURES
+        self.loss = self._make_loss(network[1], spec, size, key)
         self.loss.make_value_estimator(gamma=conf.gamma)
         # Lazily made by SACLoss otherwise, which would leave it out of a fresh state_dict.
         self._target_entropy = self.loss.target_entropy
         self.loss.to(device)
-        self._target_update = SoftUpdate(self.loss, tau=conf.tau)
         coefficient = self.loss.log_alpha
         networks = [p for p in self.loss.parameters() if p.requires_grad and p is not coefficient]
-        networks += self._features.parameters()
+        networks += [*self._features.parameters(), *critic_features.parameters()]
         self.optimiser = torch.optim.Adam(
             [
                 {"params": networks, "lr": conf.learning_rate},
                 {"params": [coefficient], "lr": conf.entropy_learning_rate},
             ],
+            betas=self._betas,
             fused=True,
         )
+
+    def _make_loss(
+        self, actor: ProbabilisticTensorDictSequential, spec: PolicySpec, features: int, key: str
+    ) -> SACLoss | CrossQLoss:
+        """The loss of the actor, and of critics that read `features` features under `key`."""
+        conf = self._conf
+        assert isinstance(conf, SacConf)
+        loss = _TwinCriticLoss(
+            actor,
+            make_action_value(spec, features, conf.hidden, self._device, key),
+            num_qvalue_nets=2,
+            loss_function="l2",
+            alpha_init=conf.initial_entropy_coefficient,
+            target_entropy=self._target_entropy_of(spec),
+            delay_qvalue=True,
+        )
+        self._target_update = SoftUpdate(loss, tau=conf.tau)
+        return loss
+
+    def _target_entropy_of(self, spec: PolicySpec) -> float:
+        """The target as the loss wants it: of actions in physical units, which the scaling shifts."""
+        wanted = self._conf.target_entropy
+        entropy = -float(spec.action_size) if wanted is None else wanted
+        return entropy + float(spec.half_range.log().sum())
+
+    def _update_targets(self) -> None:
+        self._target_update.step()
 
     def schedule(self, share: float) -> float:
         """Set and return the learning rate that is due after a `share` (0 to 1) of the run."""
@@ -71,19 +100,19 @@ class GradientStep:
         Returns the losses, the entropy coefficient and the entropy, without gradients.
         """
         with torch.autocast(self._device.type, torch.bfloat16, enabled=self._reduced):
-            batch = make_batch(self._features.encode)
+            batch = make_batch(self._critic_features.encode)
             features = batch.get(FEATURES)
             # The encoder learns from the critics alone, as in Yarats et al. (2021): it is cut off
             # here, and given the gradient of their loss before the actor's adds its own.
             cut = features.detach().requires_grad_()
-            losses = self.loss(batch.set(FEATURES, cut))
+            losses = self.loss(self._separate(batch.set(FEATURES, cut)))
         losses["loss_qvalue"].backward()
         if features.requires_grad:
             features.backward(cut.grad)
         (losses["loss_actor"] + losses["loss_alpha"]).backward()
         self.optimiser.step()
         self.optimiser.zero_grad()
-        self._target_update.step()
+        self._update_targets()
         return {
             "loss/actor": losses["loss_actor"].detach(),
             "loss/critic": losses["loss_qvalue"].detach(),
@@ -92,12 +121,24 @@ class GradientStep:
             "sac/entropy": losses["entropy"].detach(),
         }
 
+    def _separate(self, batch: TensorDict) -> TensorDict:
+        """The features of actor and critics each under its own key, where they differ."""
+        if self._critic_features.size:
+            for part in (batch, batch.get("next")):
+                features = part.get(FEATURES)
+                part.set(CRITIC_FEATURES, features).set(FEATURES, features[..., : self._features.size])
+        return batch
+
     @torch.no_grad()
     def action_values(self, make_batch: MakeBatch) -> Tensor:
         """The smaller of both action values (k,) of the transitions of `make_batch`, on the CPU."""
-        batch = make_batch(self._features.encode)
+        batch = self._separate(make_batch(self._critic_features.encode))
+        return self._evaluate_critics(batch).amin(0).squeeze(-1).float().cpu()
+
+    def _evaluate_critics(self, batch: TensorDict) -> Tensor:
+        """The action values (n, k, 1) of n critics."""
         found: Tensor = evaluate_critics(batch, self.loss.qvalue_network_params)["state_action_value"]
-        return found.amin(0).squeeze(-1).cpu()
+        return found
 
     def state_dict(self) -> dict[str, Any]:
         """Parameters of the loss, targets included, and the optimiser's state."""
@@ -105,15 +146,18 @@ class GradientStep:
         loss = self.loss.state_dict()
         return {
             "loss": {key: value for key, value in loss.items() if isinstance(value, Tensor)},
+            "privileged": self._critic_features.state_dict(),
             "optimiser": self.optimiser.state_dict(),
         }
 
-    def load_weights(self, weights: Mapping[str, Tensor]) -> None:
-        """Take the parameters of the loss, targets included, as `state_dict` has them under "loss"."""
-        self.loss.load_state_dict({**self.loss.state_dict(), **weights})
+    def load_weights(self, state: Mapping[str, Any]) -> None:
+        """Take the parameters of the loss, targets included, and of the critics' encoders, from `state`."""
+        self.loss.load_state_dict({**self.loss.state_dict(), **state["loss"]})
+        # Runs from before there were privileged sensors have none.
+        self._critic_features.load_state_dict(state.get("privileged", {}))
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        self.load_weights(state["loss"])
+        self.load_weights(state)
         self.optimiser.load_state_dict(state["optimiser"])
 
 
@@ -133,9 +177,15 @@ class ActionValue(nn.Module):
     middle: Tensor
     half_range: Tensor
 
-    def __init__(self, spec: PolicySpec, features: int, hidden: Sequence[int]) -> None:
+    def __init__(
+        self,
+        spec: PolicySpec,
+        features: int,
+        hidden: Sequence[int],
+        norm: Callable[[int], nn.Module] | None = None,
+    ) -> None:
         super().__init__()
-        self.body = perceptron(features + spec.action_size, hidden, 1)
+        self.body = perceptron(features + spec.action_size, hidden, 1, norm)
         self.register_buffer("middle", spec.middle)
         self.register_buffer("half_range", spec.half_range)
 
@@ -146,11 +196,16 @@ class ActionValue(nn.Module):
 
 
 def make_action_value(
-    spec: PolicySpec, features: int, hidden: Sequence[int], device: torch.device | str = "cpu"
+    spec: PolicySpec,
+    features: int,
+    hidden: Sequence[int],
+    device: torch.device | str = "cpu",
+    key: str = FEATURES,
+    norm: Callable[[int], nn.Module] | None = None,
 ) -> TensorDictModule:
-    """From `features` features and the action to "state_action_value"."""
+    """From the `features` features under `key`, and the action, to "state_action_value"."""
     return TensorDictModule(
-        ActionValue(spec, features, hidden), in_keys=[FEATURES, "action"], out_keys=["state_action_value"]
+        ActionValue(spec, features, hidden, norm), in_keys=[key, "action"], out_keys=["state_action_value"]
     ).to(device)
 
 
@@ -161,7 +216,8 @@ def evaluate_critics(batch: TensorDictBase, parameters: TensorDictBase) -> Tenso
     """
     own = parameters["module"]
     scaled = (batch["action"] - own["middle"][0]) / own["half_range"][0]
-    values = torch.cat([batch[FEATURES], scaled], -1).expand(*own.batch_size, -1, -1)
+    features = batch.get(CRITIC_FEATURES, batch.get(FEATURES, None))
+    values = torch.cat([features, scaled], -1).expand(*own.batch_size, -1, -1)
     layers = [own["body", number] for number in sorted(own["body"].keys(), key=int)]
     for number, layer in enumerate(layers):
         values = torch.relu(values) if number else values

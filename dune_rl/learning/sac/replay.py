@@ -191,9 +191,9 @@ class TransitionCodec:
         idle = sequences.get("done").reshape(-1)
         return rows[~idle] if idle.any() else rows
 
-    def vectors(self, rows: Tensor) -> Tensor:
-        """The raw vectors (k, observation_size) observed in `rows`."""
-        return self._split(rows)[0].floats[:, : self._spec.observation_size]
+    def observations(self, rows: Tensor) -> PackedObservation:
+        """The raw observations (k, ...) in which the actions of `rows` were taken."""
+        return self._split(rows)[0]
 
     def _split(self, rows: Tensor) -> tuple[PackedObservation, PackedObservation, list[Tensor]]:
         now = later = rows.new_zeros((len(rows), 0), dtype=torch.uint8)

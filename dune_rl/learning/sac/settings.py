@@ -16,10 +16,20 @@ class ReplayConf(Settings):
     storage: Literal["memory", "disk"] = Field("memory", description="disk: a memory map in the run's folder")
 
 
-class SacConf(ActorCriticConf):
-    """Soft actor-critic; the defaults are those of the DUnE paper where it states them."""
+class DemonstrationsConf(Settings):
+    """Data that a driver collects before learning begins, of which every batch then has a share.
 
-    name: Literal["sac"] = "sac"
+    It follows RLPD (Ball et al. 2023). The driver may know what the policy does not observe.
+    """
+
+    driver: str = Field("planner", min_length=1, description="driver: planner, mppi, go_to_goal or another")
+    frames: int = Field(50_000, ge=1, description="frames that it drives, in place of the warm-up")
+    share: float = Field(0.5, gt=0, lt=1, description="of the transitions in each update")
+
+
+class MaximumEntropyConf(ActorCriticConf):
+    """Base of the settings of soft actor-critic and its variants, which have a replay buffer."""
+
     entropy_learning_rate: float = Field(
         3e-3, gt=0, description="of the entropy coefficient, falling in step with the other"
     )
@@ -30,7 +40,6 @@ class SacConf(ActorCriticConf):
     )
     updates_per_frame: float = Field(0.0625, gt=0, description="gradient updates for each frame collected")
     n_steps: int = Field(8, ge=1, le=64, description="of reward before the bootstrap; 1 is plain SAC")
-    tau: float = Field(0.005, gt=0, le=0.5, description="share of the new weights in each target update")
     initial_entropy_coefficient: float = Field(0.5, gt=0)
     target_entropy: float | None = Field(
         None, description="nats, for actions scaled to [-1, 1]; null: minus the number of action components"
@@ -39,6 +48,9 @@ class SacConf(ActorCriticConf):
         "auto", description="of the networks' products; auto: bfloat16 where the processor is faster at it"
     )
     replay: ReplayConf = ReplayConf()
+    demonstrations: DemonstrationsConf | None = Field(
+        None, description="data of a driver that are learned from as well; null: none"
+    )
 
     def resolved(self, device: str) -> Self:
         """These settings with the `precision` that `auto` comes to on `device` of this machine."""
@@ -67,6 +79,13 @@ class SacConf(ActorCriticConf):
                 f"(got {self.replay.capacity} and {self.batch_size})"
             )
         return self
+
+
+class SacConf(MaximumEntropyConf):
+    """Soft actor-critic; the defaults are those of the DUnE paper where it states them."""
+
+    name: Literal["sac"] = "sac"
+    tau: float = Field(0.005, gt=0, le=0.5, description="share of the new weights in each target update")
 
 
 def has_fast_bfloat16(device: str) -> bool:

@@ -1,0 +1,1 @@
+"""CrossQ (Bhatt et al. 2024): soft actor-critic without target networks, with batch renormalisation."""
