@@ -82,4 +82,4 @@ def test_a_central_critic_sees_the_others_and_itself_first() -> None:
 
 def test_a_team_learns_with_a_central_critic(tmp_path: Path) -> None:
     learning = PPO.model_copy(update={"central_critic": True, "recurrent": 4})
-    assert_halves_make_a_whole(make_team, tmp_path, learning, frames=256, half=150)
+    assert_halves_make_a_whole(make_team, tmp_path, learning, frames=384, half=200)
