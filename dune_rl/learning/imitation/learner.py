@@ -32,7 +32,7 @@ class Imitation(Algorithm):
     """Learns a driver's costs of all commands, and acts by the least predicted cost.
 
     The policy drives in most episodes, and the driver labels the states that it meets: DAgger (Ross, Gordon
-    and Bagnell, 2011) with costs of all actions (AggreVaTe: Ross and Bagnell, 2014). The driver may know what
+    and Bagnell, 2011) with costs of all actions (Ross and Bagnell, 2014). The driver may know what
     the policy does not observe. The loss is the squared error of the costs above the least one, and the
     cross-entropy to the softmax of their negatives. Raises ConfigError where the data do not fit into memory,
     and for an action that is no speed and heading.
