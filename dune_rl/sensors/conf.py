@@ -42,7 +42,9 @@ def read_entries(value: Any) -> Any:
 def complete_entries(value: Any) -> Any:
     """As `read_entries`, where the entries are all sensors that a group has, and no changes of others."""
     return {
-        name: {"realism": None, "observed": True, **entry} if isinstance(entry, Mapping) else entry
+        name: {"realism": None, "privileged": False, "observed": True, **entry}
+        if isinstance(entry, Mapping)
+        else entry
         for name, entry in read_entries(value).items()
     }
 

@@ -60,7 +60,12 @@ def collision(state: State, group: GroupState, *, distance_m: Annotated[float, F
 
 
 def scan_collision(
-    state: State, group: GroupState, *, distance_m: Annotated[float, Field(gt=0.0)] = 0.3
+    state: State,
+    group: GroupState,
+    *,
+    distance_m: Annotated[
+        float, Field(gt=0.0, description="nearest return of a scan: less is too close [m]")
+    ] = 0.3,
 ) -> Flags:
     """1 where a scan as the paper's published code makes it has a return nearer than `distance_m`.
 

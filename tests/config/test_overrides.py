@@ -175,7 +175,7 @@ def test_environment_settings_share_the_messages() -> None:
     assert sorted(str(caught.value).splitlines()) == [
         "colour is not a setting; "
         "the top level has world, weather, agents, robot, robots, actors, sensors, physics, task, metrics, "
-        "randomisation",
+        "randomisation, shield",
         "sensors.lidar.n_beam is not a setting; did you mean sensors.lidar.n_beams?",
         NO_MOON,
     ]

@@ -179,7 +179,7 @@ def test_a_policy_drives_its_group_by_what_that_observes() -> None:
     conf = environment_conf(robots=["rover_zero", "rover_zero", "leo_rover"], sensors=["goal", "velocity"])
     given: list[dict[str, Any]] = []
 
-    def policy(seen: dict[str, Any]) -> np.ndarray:
+    def policy(seen: dict[str, Any], begins: np.ndarray) -> np.ndarray:
         given.append({name: values.copy() for name, values in seen.items()})
         return np.stack([np.full(len(seen["goal"]), 0.5), seen["goal"][:, 1]], axis=1)
 

@@ -93,7 +93,8 @@ def test_rows_keep_both_observations_of_a_step_byte_for_byte():
     assert torch.equal(first, now["rgb"].flatten(0, 1))
     assert torch.equal(second, chosen)
     assert decoded["next", "terminated"].flatten().tolist() == [False, True, True] + [False] * 7
-    assert torch.equal(codec.observations(rows).floats, SPEC.unpack(SPEC.pack(now))[0].flatten(0, 1))
+    vectors, _ = SPEC.unpack(codec.observations(rows))
+    assert torch.equal(vectors, SPEC.unpack(SPEC.pack(now))[0].flatten(0, 1))
 
 
 @pytest.mark.parametrize("image", [RGB, CLASSES, DEPTH, PartSpec((64, 64, 3), True, 0.0, 255.0)])

@@ -115,7 +115,8 @@ def pace(state: Any, group: Any, *, gain: float = 1.0) -> np.ndarray:
 def test_a_sensor_travels_with_its_settings() -> None:
     dune_rl.register_sensor(pace)
     conf = parse_sensors(["goal", "pace"])
-    assert conf["pace"].model_dump() == {"sensor": "pace", "realism": None, "observed": True, "gain": 1.0}
+    common = {"realism": None, "privileged": False, "observed": True}
+    assert conf["pace"].model_dump() == {"sensor": "pace", **common, "gain": 1.0}
     sent = pickle.dumps(conf)
     SENSORS._user_parts.clear()
     there = pickle.loads(sent)

@@ -48,8 +48,8 @@ SMALL = {
 EVERYTHING = [kind for kind in SENSORS.own if kind not in ("last_action", "nearest_agent", "neighbours")]
 # These have faults by themselves: whole counts, and slip.
 NATURAL = {"encoders", "odometry"}
-# Nothing moves here.
-WITHOUT_ANYBODY = {"agent_tracks", "agent_tracks_radial", "agent_tracks_tangential"}
+# Nothing moves here, and no step of the ground is near.
+WITHOUT_ANYBODY = {"agent_tracks", "agent_tracks_radial", "agent_tracks_tangential", "low_obstacles"}
 
 
 def suite(carrier: SensorCarrier = CARRIER, **settings) -> SensorSuite:
