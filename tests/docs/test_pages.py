@@ -108,6 +108,8 @@ def write_named_files(folder: Path) -> None:
     """Small files for those of a user's that the pages name."""
     for name in ("marsyard", "maze", "hall"):
         write_model(folder / "models", name, PLANE.format(surface=""))
+    (folder / "FOLDER").mkdir()
+    (folder / "FOLDER" / "world_0.world").write_text(f'<sdf version="1.7">{PLANE.format(surface="")}</sdf>')
     write_yard(folder, "glb").rename(folder / "site.glb")
     (folder / "my_robot.urdf").write_text(re.sub(r"<mesh[^>]*/>", '<box size="0.4 0.3 0.12"/>', CART))
 
