@@ -290,8 +290,8 @@ class Conf(EnvConf):
             raise ValueError(f"{setting}: the first must not be above the second")
         if seeds[0] <= high and low <= seeds[1]:
             raise ValueError(
-                f"{setting}: training draws worlds of the seeds {low:.0f} to {high:.0f} itself; choose others, "
-                f"such as [{high + 1:.0f},{high + 1000:.0f}]"
+                f"{setting}: training draws worlds of the seeds {low:.0f} to {high:.0f} itself; choose "
+                f"others, such as [{high + 1:.0f},{high + 1000:.0f}]"
             )
         return self
 
