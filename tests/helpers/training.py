@@ -9,11 +9,12 @@ from point_mass import make_point_mass
 from dune_rl.learning.algorithm import LearnerContext
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE
 from dune_rl.learning.collector import MakeEnv
+from dune_rl.learning.networks.settings import ReplayConf
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.ppo.settings import PpoConf
 from dune_rl.learning.run.progress import Reporter
 from dune_rl.learning.sac.learner import Sac
-from dune_rl.learning.sac.settings import ReplayConf, SacConf
+from dune_rl.learning.sac.settings import SacConf
 from dune_rl.learning.settings import CheckpointConf, CollectorConf, EvaluationConf, LearningConf
 from dune_rl.learning.trainer import Trainer
 

@@ -16,9 +16,9 @@ from dune_rl.core.errors import CheckpointError, ConfigError
 from dune_rl.learning.group_policy import GroupPolicy
 from dune_rl.learning.networks.encoders import ImageEncoder
 from dune_rl.learning.networks.policy import Architecture, make_policy_network
+from dune_rl.learning.networks.settings import ReplayConf
 from dune_rl.learning.policy_spec import PartSpec, PolicySpec
 from dune_rl.learning.sac.replay import TransitionCodec, check_memory
-from dune_rl.learning.sac.settings import ReplayConf
 from dune_rl.learning.saved_policies import load_policy
 
 RGB = PartSpec((16, 20, 3), True, 0.0, 255.0)

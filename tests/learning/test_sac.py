@@ -14,10 +14,10 @@ from dune_rl.learning.collector import TransitionCollector
 from dune_rl.learning.group_policy import GroupPolicy, agent_sequences, select_group
 from dune_rl.learning.networks.encoders import CircularConvolution
 from dune_rl.learning.networks.policy import Architecture, Normaliser, make_policy_network
+from dune_rl.learning.networks.settings import ReplayConf
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.sac.gradient_step import evaluate_critics
 from dune_rl.learning.sac.replay import Replay, TransitionCodec, multi_step
-from dune_rl.learning.sac.settings import ReplayConf
 from dune_rl.learning.settings import CollectorConf
 
 SPEC = PolicySpec.of(make_point_mass(1, 0), "rover")

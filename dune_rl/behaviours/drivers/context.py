@@ -1,6 +1,6 @@
 """What a driver may know of the body that it drives: a unicycle model, the LiDAR, and the readings."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from dune_rl.core.errors import ConfigError
@@ -38,6 +38,18 @@ class DriverContext:
     vehicle: Unicycle
     lidar: LidarConf | None
     observe: Callable[[], dict[str, Reading]]
+
+    def require_lidar(self, names: Sequence[str], who: str) -> LidarConf:
+        """The LiDAR; raises ConfigError, that `who` cannot act, without it or one of the readings `names`."""
+        readings = self.observe()
+        missing = [name for name in names if name not in readings]
+        if missing or self.lidar is None:
+            needed = f"{', '.join(names[:-1])} and {names[-1]}"
+            raise ConfigError(
+                f"{who} cannot act for the group {self.group}: it needs the sensors {needed}, and has no "
+                f"{' and no '.join(missing) or 'lidar'}; add to its sensors"
+            )
+        return self.lidar
 
 
 class BoundBehaviour:

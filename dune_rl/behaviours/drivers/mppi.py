@@ -8,7 +8,6 @@ from pydantic import Field
 from dune_rl.behaviours.drivers.context import BoundBehaviour, DriverContext
 from dune_rl.behaviours.drivers.path_integral_loops import update_controls
 from dune_rl.behaviours.drivers.stuck_recovery import StuckRecovery
-from dune_rl.core.errors import ConfigError
 from dune_rl.core.seeding import stream
 from dune_rl.geometry.arrays import Array, Counts, Flags
 from dune_rl.sensors.lidar import beam_angles
@@ -72,15 +71,8 @@ class Mppi(BoundBehaviour):
 
     def bind(self, context: DriverContext) -> None:
         """Take the vehicle's model and its LiDAR; raises ConfigError without a reading that it needs."""
-        readings = context.observe()
-        missing = [name for name in _READINGS if name not in readings]
-        if missing or context.lidar is None:
-            raise ConfigError(
-                f"mppi cannot act for the group {context.group}: it needs the sensors goal, lidar and "
-                f"velocity, and has no {' and no '.join(missing) or 'lidar'}; add to its sensors"
-            )
+        lidar = context.require_lidar(_READINGS, "mppi")
         super().bind(context)
-        lidar = context.lidar
         of_beams = beam_angles(lidar).reshape(lidar.n_segments, -1)
         middle, width = of_beams.mean(axis=1), np.deg2rad(lidar.fov_deg) / lidar.n_segments
         shares = (np.arange(_POINTS_PER_SEGMENT) + 0.5) / _POINTS_PER_SEGMENT - 0.5

@@ -4,7 +4,6 @@ import numpy as np
 
 from dune_rl.behaviours.drivers.context import BoundBehaviour, DriverContext
 from dune_rl.behaviours.drivers.shield_loops import check_commands
-from dune_rl.core.errors import ConfigError
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.sensors.lidar import beam_angles
 from dune_rl.sensors.perception.scan_tracks import ScanTracker
@@ -34,15 +33,9 @@ class Shield(BoundBehaviour):
 
     def bind(self, context: DriverContext) -> None:
         """Take the vehicle's model and its LiDAR; raises ConfigError without a reading that it needs."""
-        readings = context.observe()
-        missing = [name for name in _READINGS if name not in readings]
-        if missing or context.lidar is None:
-            raise ConfigError(
-                f"shield=brake cannot check the commands of the group {context.group}: it needs the sensors "
-                f"lidar and velocity, and has no {' and no '.join(missing) or 'lidar'}; add to its sensors"
-            )
+        lidar = context.require_lidar(_READINGS, "shield=brake")
         super().bind(context)
-        lidar, vehicle = context.lidar, context.vehicle
+        vehicle = context.vehicle
         middle = beam_angles(lidar).reshape(lidar.n_segments, -1).mean(axis=1)
         width = np.deg2rad(lidar.fov_deg) / lidar.n_segments
         shares = (np.arange(_POINTS_PER_SEGMENT) + 0.5) / _POINTS_PER_SEGMENT - 0.5

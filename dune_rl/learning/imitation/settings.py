@@ -1,15 +1,14 @@
 """Settings of imitation. Importing them loads neither PyTorch nor TorchRL."""
 
-from typing import Literal, Self
+from typing import Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, field_validator
 
 from dune_rl.behaviours.registry import BEHAVIOURS
-from dune_rl.learning.networks.settings import CommandGridConf, NetworkConf
-from dune_rl.learning.sac.settings import ReplayConf
+from dune_rl.learning.networks.settings import CommandGridConf, ReplayingConf
 
 
-class ImitationConf(NetworkConf):
+class ImitationConf(ReplayingConf):
     """Imitation of a driver that labels what the learning policy meets (DAgger: Ross et al., 2011)."""
 
     name: Literal["imitation"] = "imitation"
@@ -36,7 +35,6 @@ class ImitationConf(NetworkConf):
         8.0, gt=0, description="of a command above the best one's, in metres of level way"
     )
     temperature: float = Field(0.1, gt=0, description="of the costs, where they make probabilities")
-    replay: ReplayConf = ReplayConf()
 
     @field_validator("teacher")
     @classmethod
@@ -44,12 +42,3 @@ class ImitationConf(NetworkConf):
         if BEHAVIOURS.find(value) is None:
             raise ValueError(BEHAVIOURS.unknown(value))
         return value
-
-    @model_validator(mode="after")
-    def _replay_holds_a_batch(self) -> Self:
-        if self.replay.capacity < self.batch_size:
-            raise ValueError(
-                f"replay.capacity must be at least batch_size "
-                f"(got {self.replay.capacity} and {self.batch_size})"
-            )
-        return self

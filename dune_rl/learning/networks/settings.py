@@ -1,8 +1,8 @@
 """Settings of the networks that algorithms have in common. Importing them loads no PyTorch."""
 
-from typing import Annotated
+from typing import Annotated, Literal, Self
 
-from pydantic import BeforeValidator, Field, SerializeAsAny, field_validator
+from pydantic import BeforeValidator, Field, SerializeAsAny, field_validator, model_validator
 
 from dune_rl.core.settings import Settings
 from dune_rl.learning.networks.registry import EncoderConf, parse_encoder
@@ -24,6 +24,29 @@ class NetworkConf(LearningConf):
         default_factory=dict, description="encoder of a part of the observation, by sensor, in place of these"
     )
     observation_clip: float = Field(10.0, gt=0, description="bound on normalised observations")
+
+
+class ReplayConf(Settings):
+    """Where collected data are kept, and how much."""
+
+    capacity: int = Field(1_000_000, ge=1)
+    storage: Literal["memory", "disk"] = Field("memory", description="disk: a memory map in the run's folder")
+
+
+class ReplayingConf(NetworkConf):
+    """Base of the settings of algorithms that draw batches from a replay buffer."""
+
+    batch_size: int = Field(512, ge=1)
+    replay: ReplayConf = ReplayConf()
+
+    @model_validator(mode="after")
+    def _replay_holds_a_batch(self) -> Self:
+        if self.replay.capacity < self.batch_size:
+            raise ValueError(
+                f"replay.capacity must be at least batch_size "
+                f"(got {self.replay.capacity} and {self.batch_size})"
+            )
+        return self
 
 
 class ActorCriticConf(NetworkConf):

@@ -17,8 +17,8 @@ from torchrl.data import LazyMemmapStorage, LazyTensorStorage, ReplayBuffer
 from dune_rl.core.errors import CheckpointError, ConfigError
 from dune_rl.core.files import write_atomically
 from dune_rl.learning.networks.policy import FEATURES
+from dune_rl.learning.networks.settings import ReplayConf
 from dune_rl.learning.policy_spec import PackedObservation, PolicySpec
-from dune_rl.learning.sac.settings import ReplayConf
 
 # TorchRL announces every buffer that it makes, on the console.
 logger.setLevel(logging.WARNING)

@@ -3,17 +3,10 @@
 from collections.abc import Mapping
 from typing import Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from dune_rl.core.settings import Settings
-from dune_rl.learning.networks.settings import ActorCriticConf
-
-
-class ReplayConf(Settings):
-    """Where transitions are kept, and how many."""
-
-    capacity: int = Field(1_000_000, ge=1)
-    storage: Literal["memory", "disk"] = Field("memory", description="disk: a memory map in the run's folder")
+from dune_rl.learning.networks.settings import ActorCriticConf, ReplayingConf
 
 
 class DemonstrationsConf(Settings):
@@ -27,7 +20,7 @@ class DemonstrationsConf(Settings):
     share: float = Field(0.5, gt=0, lt=1, description="of the transitions in each update")
 
 
-class MaximumEntropyConf(ActorCriticConf):
+class MaximumEntropyConf(ReplayingConf, ActorCriticConf):
     """Base of the settings of soft actor-critic and its variants, which have a replay buffer."""
 
     entropy_learning_rate: float = Field(
@@ -47,7 +40,6 @@ class MaximumEntropyConf(ActorCriticConf):
     precision: Literal["auto", "float32", "bfloat16"] = Field(
         "auto", description="of the networks' products; auto: bfloat16 where the processor is faster at it"
     )
-    replay: ReplayConf = ReplayConf()
     demonstrations: DemonstrationsConf | None = Field(
         None, description="data of a driver that are learned from as well; null: none"
     )
@@ -70,15 +62,6 @@ class MaximumEntropyConf(ActorCriticConf):
                 "at float32: it goes on so; learning.precision=auto or float32 changes it"
             ]
         return []
-
-    @model_validator(mode="after")
-    def _replay_holds_a_batch(self) -> Self:
-        if self.replay.capacity < self.batch_size:
-            raise ValueError(
-                f"replay.capacity must be at least batch_size "
-                f"(got {self.replay.capacity} and {self.batch_size})"
-            )
-        return self
 
 
 class SacConf(MaximumEntropyConf):

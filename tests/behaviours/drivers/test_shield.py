@@ -91,5 +91,5 @@ def test_go_to_goal_under_the_shield_does_not_touch_the_wall_that_it_would_hit()
 
 def test_what_the_shield_needs_is_said() -> None:
     conf = environment_conf(sensors={"enabled": ["goal", "lidar"]}, shield="brake")
-    with pytest.raises(ConfigError, match=r"shield=brake cannot check.*rover.*has no velocity"):
+    with pytest.raises(ConfigError, match=r"shield=brake cannot act for the group rover.*has no velocity"):
         make_simulation(conf, 1, 0)
