@@ -142,6 +142,26 @@ def test_a_slope_has_no_steps_and_walkers_leave_none() -> None:
     simulation.close()
 
 
+def test_a_reset_of_one_scene_leaves_the_others_as_they_are() -> None:
+    brick = box(-2.0 + 0.174 + 1.2, 0.0, 0.2, 0.5, 0.15)
+    simulation = simulation_on(plain(brick), 2, sensors=GROUND, task={"terminations": {}})
+    here = {"rover_0": AgentRequest((-2.0, 0.0, 0.0), (3.0, 0.0))}
+    simulation.reset(requests={0: here, 1: here})
+    for _ in range(15):
+        act(simulation, [0.3, 0.0])
+    suite = simulation.external[0].suite
+    assert suite is not None
+    maps = suite.sensors["low_obstacles"]
+    before = readings(simulation), maps._heights[0].copy(), maps._steps[0].copy()
+    assert maps._steps[0].any()
+    simulation.reset(np.array([False, True]), requests={1: here})
+    for name, values in before[0].items():
+        np.testing.assert_array_equal(readings(simulation)[name], values, err_msg=name)
+    np.testing.assert_array_equal(maps._heights[0], before[1])
+    np.testing.assert_array_equal(maps._steps[0], before[2])
+    simulation.close()
+
+
 def test_readings_depend_on_no_other_scene() -> None:
     found = {}
     for scenes in (1, 3):

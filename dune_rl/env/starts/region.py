@@ -139,7 +139,7 @@ class RegionStarts(StartSource):
     def prepare(self, world: World, seed: int) -> None:
         """Find the free space of `world`; raises `WorldError` if there is no room."""
         self._spawners.of(world)
-        if self.conf.anywhere_share:
+        if self.conf.anywhere_share and self.conf.region != "anywhere":
             self._spawners.of(world, anywhere=True)
 
     def keep(self, worlds: Collection[World]) -> None:
@@ -151,7 +151,7 @@ class RegionStarts(StartSource):
     def place(self, draw: StartDraw, agents: Sequence[int], taken: TakenPlaces, asked: Asked) -> Array:
         poses, scene = np.zeros((len(agents), 4)), draw.scene
         self._difficulty[scene] = draw.difficulty
-        if self.conf.anywhere_share:
+        if self.conf.anywhere_share and self.conf.region != "anywhere":
             share = stream(draw.seed, f"{self._context.streams[0]} anywhere", draw.episode).random()
             self._anywhere[scene] = share < self.conf.anywhere_share
         for index, agent in enumerate(agents):

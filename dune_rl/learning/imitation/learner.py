@@ -13,7 +13,7 @@ from torchrl.envs import EnvBase
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.env.torchrl.episode_metrics import simulation_in
-from dune_rl.learning.algorithm import Algorithm, LearnerContext, MakeEnv
+from dune_rl.learning.algorithm import Algorithm, LearnerContext, MakeEnv, mean_values
 from dune_rl.learning.drivers import BoundDriver
 from dune_rl.learning.group_policy import agent_sequences
 from dune_rl.learning.imitation.settings import ImitationConf
@@ -24,7 +24,7 @@ from dune_rl.learning.policy_spec import PackedObservation
 from dune_rl.learning.sac.replay import Replay, check_memory
 
 _MAX_GRADIENT = 5.0
-# The squared error of costs weighs as much as the cross-entropy.
+# Weight of the squared error of costs, over the largest cost, beside the cross-entropy.
 _COST_WEIGHT = 3.0
 
 
@@ -104,21 +104,17 @@ class Imitation(Algorithm):
             self._updates_due += self._conf.updates_per_frame * scenes * steps
 
     def update(self) -> dict[str, float]:
-        """Do the updates that are due; mean losses and the share of commands that are the teacher's best."""
+        """Do the updates that are due; mean losses, the mean cost of the chosen commands above the best ones
+        [m], and the learning rate.
+        """
         count = int(self._updates_due)
         if not count or not len(self._replay):
             return {}
-        conf = self._conf
-        share = min(1.0, self._frames / self.context.total_frames)
-        rate = conf.learning_rate + share * (conf.final_learning_rate - conf.learning_rate)
+        rate = self._conf.learning_rate_at(min(1.0, self._frames / self.context.total_frames))
         self._optimiser.param_groups[0]["lr"] = rate
-        totals: dict[str, Tensor] = {}
-        for rows in self._replay.minibatches(count, conf.batch_size):
-            for key, value in self._step(rows).items():
-                totals[key] = totals.get(key, torch.zeros(())) + value.cpu()
+        means = mean_values(map(self._step, self._replay.minibatches(count, self._conf.batch_size)))
         self._updates_due -= count
         self.updates += count
-        means = {key: float(value) / count for key, value in totals.items()}
         return {**means, "imitation/learning_rate": rate}
 
     def _step(self, rows: Tensor) -> dict[str, Tensor]:

@@ -29,7 +29,9 @@ class ImitationConf(ReplayingConf):
         le=1,
         description="of episodes with bursts of random actions; twice as many of the teacher's",
     )
-    updates_per_frame: float = Field(0.02, gt=0, description="gradient updates for each frame collected")
+    updates_per_frame: float = Field(
+        0.02, gt=0, description="gradient updates for each action taken; held ones count once"
+    )
     batch_size: int = Field(1024, ge=1)
     max_cost: float = Field(
         8.0, gt=0, description="of a command above the best one's, in metres of level way"

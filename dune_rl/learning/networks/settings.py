@@ -12,8 +12,10 @@ EncoderSettings = Annotated[SerializeAsAny[EncoderConf], BeforeValidator(parse_e
 
 
 class NetworkConf(LearningConf):
-    """Base of the settings of algorithms with the networks of `Architecture`."""
+    """Base of the settings of algorithms with the networks of `Architecture`, and a linear learning rate."""
 
+    learning_rate: float = Field(3e-4, gt=0, description="at frame 0")
+    final_learning_rate: float = Field(5e-5, gt=0, description="at total_frames, reached linearly")
     hidden: tuple[Width, ...] = Field((256, 256), min_length=1)
     scan_channels: int = Field(8, ge=0, le=1024, description="of the convolutions round the scans; 0: none")
     image_channels: tuple[Width, ...] = Field(
@@ -24,6 +26,10 @@ class NetworkConf(LearningConf):
         default_factory=dict, description="encoder of a part of the observation, by sensor, in place of these"
     )
     observation_clip: float = Field(10.0, gt=0, description="bound on normalised observations")
+
+    def learning_rate_at(self, share: float) -> float:
+        """The learning rate after a `share` (0 to 1) of the run."""
+        return self.learning_rate + share * (self.final_learning_rate - self.learning_rate)
 
 
 class ReplayConf(Settings):
@@ -50,17 +56,11 @@ class ReplayingConf(NetworkConf):
 
 
 class ActorCriticConf(NetworkConf):
-    """Base of the settings of algorithms that have an actor, critics, and a linear learning rate."""
+    """Base of the settings of algorithms that have an actor and critics."""
 
-    learning_rate: float = Field(3e-4, gt=0, description="at frame 0")
-    final_learning_rate: float = Field(5e-5, gt=0, description="at total_frames, reached linearly")
     batch_size: int = Field(512, ge=1)
     gamma: float = Field(0.99, ge=0, lt=1)
     reward_scale: float = Field(1.0, gt=0, description="multiplies the reward in the loss, never in the logs")
-
-    def learning_rate_at(self, share: float) -> float:
-        """The learning rate after a `share` (0 to 1) of the run."""
-        return self.learning_rate + share * (self.final_learning_rate - self.learning_rate)
 
 
 class CommandGridConf(Settings):

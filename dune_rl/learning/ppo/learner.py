@@ -12,7 +12,7 @@ from torchrl.modules import GRUModule, set_recurrent_mode
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
-from dune_rl.learning.algorithm import Algorithm, LearnerContext
+from dune_rl.learning.algorithm import Algorithm, LearnerContext, mean_values
 from dune_rl.learning.group_policy import GroupPolicy
 from dune_rl.learning.networks.critic import (
     CRITIC_FEATURES,
@@ -128,16 +128,16 @@ class Ppo(Algorithm):
         self._evaluate_batch(batch)
         # Of a recurrent policy the sequences (M, G, T) of scenes, of others single steps (M * T, G).
         rows = batch if self._memory is not None else batch.permute(0, 2, 1).flatten(0, 1)
+        # A piece in which all agents idle would have means over nothing.
+        rows = rows[rows[_VALID].flatten(1).any(1)]
+        if not len(rows):
+            return {}
         pieces = max(1, min(len(rows), round(batch.numel() / self._conf.batch_size)))
-        totals: dict[str, Tensor] = {}
-        count = 0
-        for _ in range(self._conf.epochs):
-            for chosen in torch.randperm(len(rows)).tensor_split(pieces):
-                for key, value in self._step(rows[chosen]).items():
-                    totals[key] = totals[key] + value if key in totals else value
-                count += 1
-        self.updates += count
-        means = {key: float(value) / count for key, value in totals.items()}
+        chosen = [
+            part for _ in range(self._conf.epochs) for part in torch.randperm(len(rows)).tensor_split(pieces)
+        ]
+        means = mean_values(self._step(rows[part]) for part in chosen)
+        self.updates += len(chosen)
         # The loss is in physical units of the action, which shift its entropy.
         means["ppo/entropy"] -= float(self.context.spec.half_range.log().sum())
         return means

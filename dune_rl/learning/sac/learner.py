@@ -10,7 +10,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.envs import EnvBase
 
-from dune_rl.learning.algorithm import Algorithm, LearnerContext, MakeEnv
+from dune_rl.learning.algorithm import Algorithm, LearnerContext, MakeEnv, mean_values
 from dune_rl.learning.group_policy import agent_sequences
 from dune_rl.learning.networks.critic import CriticFeatures, split_encoders
 from dune_rl.learning.networks.policy import Architecture
@@ -97,14 +97,10 @@ class MaximumEntropyLearner(Algorithm):
 
     def _learn(self, minibatches: Iterable[Tensor]) -> dict[str, float]:
         """One update for each of `minibatches` (b, width); the means of what they return."""
-        totals: dict[str, Tensor] = {}
-        count = 0
-        for rows in minibatches:
-            losses = self._step(partial(self._codec.decode, rows, reward_scale=self._conf.reward_scale))
-            for key, value in losses.items():
-                totals[key] = totals[key] + value if key in totals else value
-            count += 1
-        return {key: float(value) / count for key, value in totals.items()}
+        scale = self._conf.reward_scale
+        return mean_values(
+            self._step(partial(self._codec.decode, rows, reward_scale=scale)) for rows in minibatches
+        )
 
     def distributions(self) -> dict[str, Tensor]:
         """The action values of a sample of the replay buffer."""

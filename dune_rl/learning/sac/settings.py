@@ -31,7 +31,9 @@ class MaximumEntropyConf(ReplayingConf, ActorCriticConf):
         "go_to_goal",
         description="policy that acts in them; policy: its own, with its noise, as with start_from",
     )
-    updates_per_frame: float = Field(0.0625, gt=0, description="gradient updates for each frame collected")
+    updates_per_frame: float = Field(
+        0.0625, gt=0, description="gradient updates for each action taken; held ones count once"
+    )
     n_steps: int = Field(8, ge=1, le=64, description="of reward before the bootstrap; 1 is plain SAC")
     initial_entropy_coefficient: float = Field(0.5, gt=0)
     target_entropy: float | None = Field(

@@ -65,36 +65,47 @@ class LowObstacles(VectorSensor):
         self._heights = np.zeros(shape, np.float32)
         self._places = np.full((*shape, 2), np.iinfo(np.int32).min, np.int32)
         self._steps = np.zeros(shape, bool)
-        self._height = np.zeros(context.num_rows)
+        self._climbed_m = np.zeros(context.num_rows)
 
     def begin(self, mask: Flags, now: GroupState, state: State) -> None:
         """Begin the maps of the agents in `mask` (N,) anew, with what is seen at the start."""
         self._places[mask] = np.iinfo(np.int32).min
         self._steps[mask] = False
-        self._height[mask] = 0.0
-        self._look()
+        self._climbed_m[mask] = 0.0
+        self._look(mask)
 
     def measure(self, now: GroupState, state: State) -> None:
-        self._height += self._velocity()[:, 0] * self._profile.pitch_sine * self._step_s
-        self._look()
+        self._climbed_m += self._velocity()[:, 0] * self._profile.pitch_sine * self._step_s
+        self._look(np.ones(len(self._climbed_m), bool))
 
-    def _look(self) -> None:
+    def _look(self, mask: Flags) -> None:
+        """Enter what the rays of the agents in `mask` (N,) meet; the others keep their maps and readings."""
         profile, tracks = self._profile, self._tracks
-        found = np.empty((len(self._height), len(tracks.bearings)), np.float32)
+        found = self._reading.copy()
         _update(
-            tracks.tracker.poses, tracks.mount, tracks.bearings, tracks.ranges, tracks.moves, self._height,
-            profile.points, profile.sees, self._heights, self._places, self._steps, self._high[0], found,
+            mask, tracks.tracker.poses, tracks.mount, tracks.bearings, tracks.ranges, tracks.moves,
+            self._climbed_m, profile.points, profile.sees, self._heights, self._places, self._steps,
+            self._high[0], found,
         )  # fmt: skip
         self._store(found)
 
 
 @compile_function
 def _update(
-    poses: Any, mount: Any, bearings: Any, ranges: Any, moves: Any, height: Any, points: Any, sees: Any,
-    heights: Any, places: Any, steps: Any, farthest: float, found: Any,
+    mask: Any, poses: Any, mount: Any, bearings: Any, ranges: Any, moves: Any, height: Any, points: Any,
+    sees: Any, heights: Any, places: Any, steps: Any, farthest: float, found: Any,
 ) -> None:  # fmt: skip
-    """Enter hits `points` (N, P, 3) of levelled body frames into maps, and find the nearest steps."""
+    """Enter hits into the maps of the rows in `mask` (N,), and find their nearest steps, `found` (N, S) [m].
+
+    `poses` (N, 3: x, y [m], yaw [rad]) and `height` (N,) [m] are of the odometry, `mount` (2,) [m] is the
+    LiDAR's, `bearings` (S,) [rad] are the middles of its segments, `ranges` (N, S) [m] its scan, and `moves`
+    (N, S) tells where something moves. `points` (N, P, 3) [m] are the hits in level frames with the robots'
+    headings, over the robots' ground, `sees` (N, P) which rays have one. Maps are `heights` (N, C, C) [m],
+    `places` (N, C, C, 2), the numbers of cells that they are of, and `steps` (N, C, C).
+    """
     for row in range(len(poses)):
+        if not mask[row]:
+            continue
         _enter(
             poses[row], mount, bearings, ranges[row], moves[row], height[row], points[row], sees[row],
             heights[row], places[row], steps[row],
