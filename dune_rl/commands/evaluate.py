@@ -102,6 +102,11 @@ def _saved_settings(overrides: Sequence[str]) -> Mapping[str, Any] | None:
     if not checkpoints:
         return None
     saved: Mapping[str, Any] = read_policy_file(Path(str(checkpoints[0])))[1]["config"]
+    evaluation = (saved.get("learning") or {}).get("evaluation") or {}
+    if seeds := evaluation.get("world_seeds"):
+        # The worlds that the run kept for evaluations, unless others are asked for.
+        drawn = {"name": "integers", "low": seeds[0], "high": seeds[1]}
+        saved = {**saved, "randomisation": {**(saved.get("randomisation") or {}), "world_seed": drawn}}
     return saved
 
 

@@ -211,6 +211,11 @@ def train(conf: Conf, resume: Path | None = None, words: Sequence[str] = ()) -> 
     (run_dir / "config.yaml").write_text(yaml.safe_dump(trainer.config, sort_keys=False))
     console.print(f"Run folder: {run_dir}", highlight=False, soft_wrap=True)
     command_line.print_world_notes(console, conf)
+    if trainer.warms_up_throughout:
+        command_line.print_error(
+            f"note: others drive for all of the {conf.total_frames:,} frames before an update is made; raise "
+            "total_frames, or lower learning.learning_starts or learning.demonstrations.frames"
+        )
     try:
         result = trainer.train()
     except DuneError:

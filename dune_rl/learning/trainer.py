@@ -64,7 +64,8 @@ class Trainer:
     with `learning.curriculum` it also takes `curriculum`. Evaluations have the environment of
     `make_evaluation_env`, None: the same.
     `config` is the resolved configuration as plain containers; it is stored with the weights. With a serial
-    collector, a run that was stopped and resumed ends with the same weights as an uninterrupted one; with
+    collector, a run that was stopped and resumed ends with the same weights as an uninterrupted one, but
+    while a driver teaches or demonstrates, which forgets what it saw; with
     worker processes, a resumed run starts new episodes. TensorBoard lists `hyperparameters` beside the
     results, and shows what `make_pictures(env, episodes)` draws of the first episodes of each evaluation. The
     best policies are those with which the group `judged` does best; None: all groups in the mean.
@@ -144,6 +145,11 @@ class Trainer:
     def config(self) -> dict[str, Any]:
         """The configuration as it is stored with the weights, with what the machine decided."""
         return self._folder.config
+
+    @property
+    def warms_up_throughout(self) -> bool:
+        """Whether other policies than those that learn would drive until `total_frames`."""
+        return self._warmup.goes_on(self._total_frames - 1)
 
     @property
     def updates(self) -> int:

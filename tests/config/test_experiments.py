@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 import torch
 
+from dune_rl.commands import evaluate as evaluate_command
+from dune_rl.commands.command_line import parse_arguments
 from dune_rl.config.build import make_learning_env
 from dune_rl.config.commands import EvaluateConf
 from dune_rl.config.compose import compose
@@ -121,3 +123,12 @@ def test_the_cost_of_actors_is_that_of_its_run() -> None:
     text = " ".join(SPEED_PAGE.read_text().split())
     assert f"(`actors_cost`) {path:.0%}".replace("%", " %") in text
     assert f"by social forces {force:.0%}, by ORCA {orca:.0%}".replace("%", " %") in text
+
+
+def test_without_a_set_a_policy_is_evaluated_in_the_worlds_that_its_run_kept_for_that() -> None:
+    words = [f"checkpoint={EXPERIMENTS / 'policies' / 'all_worlds' / 'policy.pt'}", "+world=inspection"]
+    drawn = evaluate_command._compose(parse_arguments(words)).randomisation.distributions["world_seed"]
+    assert drawn.limits == (2000, 2999)
+    asked = [*words, "randomisation.world_seed={name: integers, low: 7, high: 9}"]
+    drawn = evaluate_command._compose(parse_arguments(asked)).randomisation.distributions["world_seed"]
+    assert drawn.limits == (7, 9)

@@ -165,5 +165,9 @@ def test_what_cannot_teach_is_refused_before_training(tmp_path: Path) -> None:
     blind = make_learning_env(compose_environment("flat", ["sensors=[goal]"]), 1, 0)
     with pytest.raises(ConfigError, match=r"learning.teacher=mppi: .* has no lidar"):
         Trainer(lambda *_: blind, tmp_path / "b", ImitationConf(teacher="mppi"), seed=1, total_frames=64)
-    joints.close()
-    blind.close()
+    words = ["+sensors.height_scan={privileged: true}"]
+    hidden = make_learning_env(compose_environment("flat", words), 1, 0)
+    with pytest.raises(ConfigError, match="no critic that would read the privileged height_scan"):
+        Trainer(lambda *_: hidden, tmp_path / "c", ImitationConf(), seed=1, total_frames=64)
+    for each in (joints, blind, hidden):
+        each.close()

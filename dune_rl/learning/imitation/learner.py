@@ -63,8 +63,13 @@ class Imitation(Algorithm):
         return make_command_network(spec, settings, device)
 
     def check_environment(self, env: EnvBase) -> None:
-        """Raise ConfigError where the teacher cannot drive the group."""
+        """Raise ConfigError where the teacher cannot drive the group, or a sensor is privileged."""
         simulation = simulation_in(env)
+        if hidden := simulation.group(self.context.group).privileged:
+            raise ConfigError(
+                f"learning=imitation has no critic that would read the privileged "
+                f"{', '.join(sorted(hidden))}; leave `privileged` out, or take learning=sac, crossq or ppo"
+            )
         try:
             BoundDriver(self._conf.teacher, simulation, simulation.group(self.context.group))
         except ConfigError as error:
