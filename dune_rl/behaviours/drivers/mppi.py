@@ -80,8 +80,7 @@ class Mppi(BoundBehaviour):
         # Unit vectors (n_segments, points, 2) in the vehicle's frame.
         self._directions = np.stack([np.cos(bearings), np.sin(bearings)], axis=-1)
         self._mount = mount_position(lidar.mount_b)[:2]
-        self._ahead = np.stack([np.cos(middle), np.sin(middle)], axis=-1)
-        self._tracker = ScanTracker(self._num_rows, lidar.n_segments)
+        self._tracker = ScanTracker(self._num_rows, middle, self._mount)
         self._map = LocalMap(self._num_rows, middle, self._mount)
         # Whether the scan covers what is behind.
         sees_behind = np.abs(np.abs(of_beams) - np.pi).min() < np.deg2rad(20.0)
@@ -147,9 +146,8 @@ class Mppi(BoundBehaviour):
         assert lidar is not None
         reach = vehicle.max_speed_mps * self._horizon * _STEP_S + vehicle.footprint_radius_m + self._margin_m
         sees = ranges < lidar.range_m - 1e-3
-        middles = ranges[:, :, None] * self._ahead + self._mount
         tracker = self._tracker
-        tracker.update(ranges, middles, sees, twists, step_s)
+        tracker.update(ranges, sees, twists, step_s)
         movers = np.concatenate([tracker.moving, np.full((*tracker.moving.shape[:2], 1), _MOVER_M)], axis=-1)
         points = (ranges[:, :, None, None] * self._directions + self._mount).reshape(self._num_rows, -1, 2)
         moves: Flags = np.abs(tracker.velocities).max(axis=2) > 0.0

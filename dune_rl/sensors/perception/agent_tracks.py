@@ -45,7 +45,7 @@ class AgentTracks:
     are in the body frame. The others are the velocity of what each segment of the scan sees, away from the
     robot and counter-clockwise, 0 where nothing moves.
 
-    `tracker` has the odometry by which scans are compared; `ranges` (N, n_segments) [m], `sees` and `moves`
+    `tracker` reads all beams, and has the odometry by which scans are compared; `ranges` (N, n_segments) [m], `sees` and `moves`
     (N, n_segments) are of the latest scan.
     """
 
@@ -55,13 +55,16 @@ class AgentTracks:
         if not isinstance(sensor, LidarSensor):
             raise ConfigError(f"sensors.{name}.lidar must be the name of a LiDAR (got {conf.lidar!r})")
         self.lidar: LidarConf = sensor.lidar.conf
+        self._sensor = sensor
         self._scan, self._velocity = context.reading_of(conf.lidar), context.reading_of("velocity")
         segments = self.lidar.n_segments
         # Of the segments, in the body frame.
-        self.bearings: Array = beam_angles(self.lidar).reshape(segments, -1).mean(axis=1)
+        beams = beam_angles(self.lidar)
+        self.bearings: Array = beams.reshape(segments, -1).mean(axis=1)
         self.mount = mount_position(self.lidar.mount_b)[:2]
         self._ahead = np.stack([np.cos(self.bearings), np.sin(self.bearings)], axis=-1)
-        self.tracker = ScanTracker(context.num_rows, segments)
+        self.tracker = ScanTracker(context.num_rows, beams, self.mount)
+        self._velocities = np.zeros((context.num_rows, segments, 2))
         self.ranges = np.zeros((context.num_rows, segments))
         self.sees = self.moves = np.zeros((context.num_rows, segments), bool)
         self._nearest = np.zeros((context.num_rows, conf.count * _VALUES))
@@ -81,7 +84,7 @@ class AgentTracks:
     def begin(self, mask: Flags, now: GroupState, state: State) -> None:
         """Forget the tracks in `mask` (N,): the first scan is taken after the first control step."""
         self.tracker.forget(mask)
-        self.tracker.velocities[mask], self.tracker.moving_counts[mask] = 0.0, 0
+        self._velocities[mask] = 0.0
         self._nearest = np.where(mask[:, None], 0.0, self._nearest)
         self._look()
         self.moves = self.moves & ~mask[:, None]
@@ -89,10 +92,15 @@ class AgentTracks:
     def measure(self, now: GroupState, state: State) -> None:
         """Take the scan of a control step."""
         self._look()
-        points = self.ranges[:, :, None] * self._ahead + self.mount
+        beams = self._sensor.ranges.astype(np.float64)
         twists = np.ascontiguousarray(self._velocity()[:, :2], np.float64)
-        self.tracker.update(self.ranges, points, self.sees, twists, self._step_s)
-        self.moves = np.abs(self.tracker.velocities).max(axis=2) > 0.0
+        self.tracker.update(beams, beams < self.lidar.range_m - _NO_RETURN_M, twists, self._step_s)
+        # Of the beam that is the segment's.
+        shape = len(beams), len(self.bearings), -1
+        nearest = beams.reshape(shape).argmin(axis=2)[:, :, None, None]
+        each = self.tracker.velocities.reshape(*shape, 2)
+        self._velocities = np.take_along_axis(each, nearest, axis=2)[:, :, 0]
+        self.moves = np.abs(self._velocities).max(axis=2) > 0.0
         self._nearest = self._nearest_tracks()
 
     def _look(self) -> None:
@@ -121,7 +129,7 @@ class AgentTracks:
 
     def read(self) -> dict[str, Reading]:
         """The latest readings."""
-        velocity = self.tracker.velocities
+        velocity = self._velocities
         radial = (velocity * self._ahead).sum(axis=2)
         tangential = velocity[..., 1] * self._ahead[:, 0] - velocity[..., 0] * self._ahead[:, 1]
         found = {

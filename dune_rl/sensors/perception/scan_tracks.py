@@ -6,29 +6,23 @@ import numpy as np
 
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.compiled import compile_function
+from dune_rl.sensors.perception.scan_clusters import CLUSTER_COLUMNS, compare_with_past, find_clusters
 
 _MOST_TRACKS = 16
-# A cluster ends where the range of neighbouring segments jumps by more than this [m], and per metre.
-_JUMP_M = 0.35
-_JUMP_PER_M = 0.08
-# Larger clusters are walls, banks or hedges.
-_LARGEST_M = 0.9
-# The centre of what is seen lies behind its surface.
-_BEHIND_M = 0.2
-# Standard deviations: of a cluster's place, and per metre of range [m]; of accelerations [m/s²].
-_PLACE_M = 0.06
-_PLACE_PER_M = 0.05
+# Standard deviation of accelerations [m/s²], and of the speed of a new track [m/s].
 _ACCELERATION_MPS2 = 1.5
 _FIRST_SPEED_MPS = 0.8
 # A cluster belongs to a track within this, and per metre of range [m].
-_GATE_M = 0.45
-_GATE_PER_M = 0.06
+_GATE_M, _GATE_PER_M = 0.45, 0.06
 _KEEP_S = 0.6
-_YOUNG_S = 0.3
+# What moves has gone this far since it was first seen, this fast, and faster than twice its error.
+_LEAST_WAY_M = 0.08
 _SLOWEST_MPS = 0.35
 # Columns of a track: x, y, vx, vy [m, m/s, odometry frame], variances of place and speed and their
-# covariance, time since it began and since it was seen [s].
-_COLUMNS = 9
+# covariance, time since it was seen [s], x and y where it began.
+_COLUMNS = 10
+# A scan is compared with those of so long ago [s].
+_PAST_S = (0.6, 1.0)
 
 
 @compile_function
@@ -41,7 +35,6 @@ def _predict(track: Any, step_s: float) -> None:
     track[6] += step_s * track[5] + 0.5 * step_s**3 * noise
     track[5] += step_s * step_s * noise
     track[7] += step_s
-    track[8] += step_s
 
 
 @compile_function
@@ -57,143 +50,135 @@ def _correct(track: Any, x: float, y: float, variance: float) -> None:
     track[5] -= speed * track[6]
     track[6] -= place * track[6]
     track[4] -= place * track[4]
-    track[8] = 0.0
+    track[7] = 0.0
 
 
 @compile_function
 def _is_moving(track: Any) -> bool:
-    """Whether a track is old enough, and faster than its error."""
+    """Whether a track has gone some way, and is faster than its error."""
     speed = np.hypot(track[2], track[3])
-    result: bool = track[7] >= _YOUNG_S and speed > _SLOWEST_MPS and speed > 2.0 * np.sqrt(track[5])
+    way = np.hypot(track[0] - track[8], track[1] - track[9])
+    result: bool = way > _LEAST_WAY_M and speed > _SLOWEST_MPS and speed > 2.0 * np.sqrt(track[5])
     return result
 
 
 @compile_function
-def find_clusters(ranges: Any, points: Any, sees: Any, found: Any, members: Any) -> int:
-    """Small objects before their background in a scan of S segments; returns how many.
+def _move_pose(pose: Any, twist: Any, step_s: float) -> None:
+    """Move a pose (3,) on by a speed and a yaw rate (2,)."""
+    pose[2] += 0.5 * twist[1] * step_s
+    pose[0] += twist[0] * step_s * np.cos(pose[2])
+    pose[1] += twist[0] * step_s * np.sin(pose[2])
+    pose[2] += 0.5 * twist[1] * step_s
 
-    `points` (S, 2) [m] are where segments end, `sees` (S,) whether there is a return. `found` (S, 3) gets the
-    middle of each object's points and their mean range, `members` (S,) the object's number or -1.
+
+@compile_function
+def _match(clusters: Any, found: int, pose: Any, step_s: float, tracks: Any, count: int, taken: Any) -> int:
+    """Move the tracks (T, columns) of a row on, correct them by the `found` clusters, drop what was not seen
+    for long, and begin new ones. `taken` (S,) gets the track of each cluster, or -1; returns how many there are.
     """
-    segments, count = len(ranges), 0
-    members[:] = -1
-    for first in range(segments):
-        before = (first - 1) % segments
-        if not sees[first]:
+    taken[:found] = -1
+    kept = 0
+    for index in range(count):
+        track = tracks[index]
+        _predict(track, step_s)
+        away = np.hypot(track[0] - pose[0], track[1] - pose[1])
+        nearest, chosen = _GATE_M + _GATE_PER_M * away, -1
+        for number in range(found):
+            apart = np.hypot(clusters[number, 0] - track[0], clusters[number, 1] - track[1])
+            if taken[number] < 0 and apart < nearest:
+                nearest, chosen = apart, number
+        if chosen >= 0:
+            _correct(track, clusters[chosen, 0], clusters[chosen, 1], clusters[chosen, 2] ** 2)
+        if track[7] <= _KEEP_S:
+            if chosen >= 0:
+                taken[chosen] = kept
+            tracks[kept] = track
+            kept += 1
+    for number in range(found):
+        if taken[number] >= 0 or kept == _MOST_TRACKS:
             continue
-        jump = _JUMP_M + _JUMP_PER_M * ranges[first]
-        # A cluster begins where what is before it is farther away, or nothing.
-        if sees[before] and ranges[before] < ranges[first] + jump:
-            continue
-        size, last = 1, first
-        while size < segments:
-            after = (last + 1) % segments
-            if not sees[after] or abs(ranges[after] - ranges[last]) > _JUMP_M + _JUMP_PER_M * ranges[last]:
-                break
-            last, size = after, size + 1
-        after = (last + 1) % segments
-        if sees[after] and ranges[after] < ranges[last]:
-            continue
-        width = np.hypot(points[last, 0] - points[first, 0], points[last, 1] - points[first, 1])
-        if width > _LARGEST_M or size > segments // 2:
-            continue
-        x, y, mean = 0.0, 0.0, 0.0
-        for step in range(size):
-            number = (first + step) % segments
-            x += points[number, 0] / size
-            y += points[number, 1] / size
-            mean += ranges[number] / size
-            members[number] = count
-        found[count, 0], found[count, 1], found[count, 2] = x, y, mean
-        count += 1
-    return count
+        new = tracks[kept]
+        new[:] = 0.0
+        new[0], new[1] = clusters[number, 0], clusters[number, 1]
+        new[8], new[9] = new[0], new[1]
+        new[4], new[5] = clusters[number, 2] ** 2, _FIRST_SPEED_MPS**2
+        taken[number] = kept
+        kept += 1
+    return kept
 
 
 @compile_function
 def track_scans(
-    ranges: Any, points: Any, sees: Any, twists: Any, step_s: float, poses: Any, tracks: Any, counts: Any,
-    moving: Any, moving_counts: Any, velocities: Any,
+    ranges: Any, points: Any, sees: Any, twists: Any, step_s: float, rays: Any, mount: Any, poses: Any,
+    past: Any, tracks: Any, counts: Any, moving: Any, moving_counts: Any, velocities: Any,
 ) -> None:  # fmt: skip
     """Update the tracks of N rows by a scan each.
 
-    `twists` (N, 2: speed, yaw rate) move the `poses` (N, 3) of the odometry by a step. `tracks`
-    (N, T, columns), of which a row has `counts`, are changed. `moving` (N, T, 4: x, y, velocity) and
-    `velocities` (N, S, 2), of the segments, are those of what moves, in the vehicles' frames.
+    `ranges` (N, S) [m], `points` (N, S, 2) [m] and `sees` (N, S) are of the scan, `rays` is (bearing of the
+    first one [rad], rays per radian). `twists` (N, 2: speed, yaw rate) move the `poses` (N, 3) of the odometry
+    by a step. `past` is (earlier scans (N, L, S), their poses (N, L, 3), how many there were (N,), how many
+    scans ago those are that count). `tracks` (N, T, columns), of which a row has `counts`, are changed.
+    `moving` (N, T, 4: x, y, velocity) and `velocities` (N, S, 2), of the rays, are those of what moves, in
+    the vehicles' frames.
     """
-    segments = ranges.shape[1]
-    clusters = np.empty((segments, 3))
-    members = np.empty(segments, np.int64)
-    taken = np.empty(segments, np.int64)
+    size = ranges.shape[1]
+    scans, scan_poses, taken_scans, lags = past
+    clusters, places = np.empty((size, CLUSTER_COLUMNS)), np.empty((size, 2))
+    members, taken, was = np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size, np.int64)
+    old_scans, old_poses = np.empty((len(lags), size)), np.empty((len(lags), 3))
     for row in range(len(ranges)):
         pose = poses[row]
-        pose[2] += 0.5 * twists[row, 1] * step_s
-        pose[0] += twists[row, 0] * step_s * np.cos(pose[2])
-        pose[1] += twists[row, 0] * step_s * np.sin(pose[2])
-        pose[2] += 0.5 * twists[row, 1] * step_s
+        _move_pose(pose, twists[row], step_s)
         cos, sin = np.cos(pose[2]), np.sin(pose[2])
-        found = find_clusters(ranges[row], points[row], sees[row], clusters, members)
-        taken[:found] = -1
+        for ray in range(size):
+            places[ray, 0] = pose[0] + cos * points[row, ray, 0] - sin * points[row, ray, 1]
+            places[ray, 1] = pose[1] + sin * points[row, ray, 0] + cos * points[row, ray, 1]
+        there = taken_scans[row] >= lags.max()
+        for number in range(len(lags)):
+            slot = (taken_scans[row] - lags[number]) % scans.shape[1]
+            old_scans[number], old_poses[number] = scans[row, slot], scan_poses[row, slot]
+        known = len(lags) if there else 0
+        compare_with_past(places, sees[row], old_scans[:known], old_poses[:known], rays[0], rays[1], was)
+        slot = taken_scans[row] % scans.shape[1]
+        scans[row, slot] = ranges[row]
+        scan_poses[row, slot, 0] = pose[0] + cos * mount[0] - sin * mount[1]
+        scan_poses[row, slot, 1] = pose[1] + sin * mount[0] + cos * mount[1]
+        scan_poses[row, slot, 2] = pose[2]
+        taken_scans[row] += 1
+        found = find_clusters(ranges[row], points[row], sees[row], was, mount, rays[1], clusters, members)
         for number in range(found):
-            # Into the odometry's frame, and to the object's centre.
-            x, y, mean = clusters[number, 0], clusters[number, 1], clusters[number, 2]
-            behind = 1.0 + _BEHIND_M / max(mean, 0.1)
-            clusters[number, 0] = pose[0] + behind * (cos * x - sin * y)
-            clusters[number, 1] = pose[1] + behind * (sin * x + cos * y)
-        kept = 0
+            x, y = clusters[number, 0], clusters[number, 1]
+            clusters[number, 0] = pose[0] + cos * x - sin * y
+            clusters[number, 1] = pose[1] + sin * x + cos * y
+        counts[row] = _match(clusters, found, pose, step_s, tracks[row], counts[row], taken)
+        count = 0
         for index in range(counts[row]):
             track = tracks[row, index]
-            _predict(track, step_s)
-            nearest, chosen = np.inf, -1
-            for number in range(found):
-                apart = np.hypot(clusters[number, 0] - track[0], clusters[number, 1] - track[1])
-                gate = _GATE_M + _GATE_PER_M * clusters[number, 2]
-                if taken[number] < 0 and apart < gate and apart < nearest:
-                    nearest, chosen = apart, number
-            if chosen >= 0:
-                spread = _PLACE_M + _PLACE_PER_M * clusters[chosen, 2]
-                _correct(track, clusters[chosen, 0], clusters[chosen, 1], spread * spread)
-            if track[8] <= _KEEP_S:
-                if chosen >= 0:
-                    taken[chosen] = kept
-                tracks[row, kept] = track
-                kept += 1
-        for number in range(found):
-            if taken[number] >= 0 or kept == _MOST_TRACKS:
-                continue
-            spread = _PLACE_M + _PLACE_PER_M * clusters[number, 2]
-            new = tracks[row, kept]
-            new[:] = 0.0
-            new[0], new[1] = clusters[number, 0], clusters[number, 1]
-            new[4], new[5] = spread * spread, _FIRST_SPEED_MPS * _FIRST_SPEED_MPS
-            taken[number] = kept
-            kept += 1
-        counts[row] = kept
-        count = 0
-        for index in range(kept):
-            track = tracks[row, index]
-            if not _is_moving(track):
-                continue
-            away_x, away_y = track[0] - pose[0], track[1] - pose[1]
-            moving[row, count, 0] = cos * away_x + sin * away_y
-            moving[row, count, 1] = cos * away_y - sin * away_x
-            moving[row, count, 2] = cos * track[2] + sin * track[3]
-            moving[row, count, 3] = cos * track[3] - sin * track[2]
-            count += 1
-        moving_counts[row] = count
-        for segment in range(segments):
-            velocities[row, segment, 0], velocities[row, segment, 1] = 0.0, 0.0
-            if members[segment] < 0 or taken[members[segment]] < 0:
-                continue
-            track = tracks[row, taken[members[segment]]]
             if _is_moving(track):
-                velocities[row, segment, 0] = cos * track[2] + sin * track[3]
-                velocities[row, segment, 1] = cos * track[3] - sin * track[2]
+                right, up = track[0] - pose[0], track[1] - pose[1]
+                moving[row, count, 0], moving[row, count, 1] = cos * right + sin * up, cos * up - sin * right
+                moving[row, count, 2] = cos * track[2] + sin * track[3]
+                moving[row, count, 3] = cos * track[3] - sin * track[2]
+                count += 1
+        moving_counts[row] = count
+        for ray in range(size):
+            velocities[row, ray, 0], velocities[row, ray, 1] = 0.0, 0.0
+            if members[ray] >= 0 and taken[members[ray]] >= 0:
+                track = tracks[row, taken[members[ray]]]
+                if _is_moving(track):
+                    velocities[row, ray, 0] = cos * track[2] + sin * track[3]
+                    velocities[row, ray, 1] = cos * track[3] - sin * track[2]
 
 
 class ScanTracker:
-    """Finds what moves in the LiDAR scans of N bodies, by their scans and speed readings alone."""
+    """Finds what moves in the LiDAR scans of N bodies, by their scans and speed readings alone.
 
-    def __init__(self, num_rows: int, segments: int) -> None:
+    `bearings` (S,) [rad] are those of the scan's rays, evenly spaced, and `mount` (2,) [m] where it is, in
+    the vehicles' frames.
+    """
+
+    def __init__(self, num_rows: int, bearings: Array, mount: Array) -> None:
+        rays = len(bearings)
         # Of the odometry: x, y [m] and yaw [rad].
         self.poses = np.zeros((num_rows, 3))
         self._tracks = np.zeros((num_rows, _MOST_TRACKS, _COLUMNS))
@@ -201,18 +186,34 @@ class ScanTracker:
         # Of what moves, in the vehicles' frames (N, T, 4: x, y, velocity); a row has `moving_counts` of them.
         self.moving = np.zeros((num_rows, _MOST_TRACKS, 4))
         self.moving_counts = np.zeros(num_rows, np.int64)
-        self.velocities = np.zeros((num_rows, segments, 2))
+        self.velocities = np.zeros((num_rows, rays, 2))
+        self._ahead = np.stack([np.cos(bearings), np.sin(bearings)], axis=-1)
+        self._mount = np.ascontiguousarray(mount[:2], np.float64)
+        apart = float(bearings[1] - bearings[0]) if rays > 1 else 2.0 * np.pi
+        self._rays = float(bearings[0]), 1.0 / apart
+        self._lags = np.zeros(0, np.int64)
+        self._scans, self._scan_poses = np.zeros((num_rows, 0, rays), np.float32), np.zeros((num_rows, 0, 3))
+        self._taken = np.zeros(num_rows, np.int64)
 
     def forget(self, mask: Flags) -> None:
         """Forget the tracks of the rows in `mask` (N,)."""
-        self._counts[mask] = 0
-        self.poses[mask] = 0.0
+        self._counts[mask] = self._taken[mask] = self.moving_counts[mask] = 0
+        self.velocities[mask] = self.poses[mask] = 0.0
 
-    def update(self, ranges: Array, points: Array, sees: Flags, twists: Array, step_s: float) -> None:
-        """Take a scan: `ranges` (N, S) [m], where its segments end (N, S, 2) in the vehicles' frames and
-        which of them have a return; and the readings of speed and yaw rate (N, 2) after the last step.
+    def update(self, ranges: Array, sees: Flags, twists: Array, step_s: float) -> None:
+        """Take a scan: `ranges` (N, S) [m] and which rays have a return, and the readings of speed and yaw rate
+        (N, 2) after the last step.
         """
+        lags = np.maximum(np.round(np.array(_PAST_S) / step_s), 1).astype(np.int64)
+        if not np.array_equal(lags, self._lags):
+            self._lags = lags
+            shape = len(ranges), int(lags.max())
+            self._scans = np.zeros((*shape, ranges.shape[1]), np.float32)
+            self._scan_poses = np.zeros((*shape, 3))
+            self._taken[:] = 0
+        points = ranges[:, :, None] * self._ahead + self._mount
         track_scans(
-            ranges, points, sees, twists, step_s, self.poses, self._tracks, self._counts, self.moving,
-            self.moving_counts, self.velocities,
+            ranges, points, sees, twists, step_s, self._rays, self._mount, self.poses,
+            (self._scans, self._scan_poses, self._taken, self._lags), self._tracks, self._counts,
+            self.moving, self.moving_counts, self.velocities,
         )  # fmt: skip

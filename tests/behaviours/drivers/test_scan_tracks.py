@@ -9,18 +9,18 @@ from dune_rl.sensors.perception.scan_tracks import ScanTracker
 
 STEP_S = 0.05
 BEARINGS = beam_angles(LIDAR).reshape(LIDAR.n_segments, -1).mean(axis=1)
-ALONG = np.stack([np.cos(BEARINGS), np.sin(BEARINGS)], axis=-1)
+MOUNT = np.zeros(2)
 
 
 def track(bodies: DrivenBodies, discs: np.ndarray, velocity: np.ndarray, action: np.ndarray, steps: int):
     """The tracker after `steps`, in which `discs` (D, 3) move with `velocity` (D, 2); and the discs."""
-    tracker = ScanTracker(1, LIDAR.n_segments)
+    tracker = ScanTracker(1, BEARINGS, MOUNT)
     for _ in range(steps):
         readings = bodies.readings(discs)
         ranges = readings["lidar"].astype(float)
         twists = readings["velocity"].astype(float)
         sees = ranges < LIDAR.range_m - 1e-3
-        tracker.update(ranges, ranges[:, :, None] * ALONG, sees, twists, STEP_S)
+        tracker.update(ranges, sees, twists, STEP_S)
         last = discs
         bodies.move(action)
         discs = discs + np.column_stack([velocity * STEP_S, np.zeros(len(discs))])
@@ -54,12 +54,12 @@ def test_posts_do_not_move_however_the_body_turns() -> None:
     posts = np.array([[2.5, 0.5, 0.2], [-1.5, 2.0, 0.1], [0.0, -3.0, 0.3]])
     bodies = DrivenBodies(yard(), [0.0, 0.0, 0.0], [8.0, 0.0], np.zeros((0, 4)))
     wrong = 0
-    tracker = ScanTracker(1, LIDAR.n_segments)
+    tracker = ScanTracker(1, BEARINGS, MOUNT)
     for step in range(200):
         readings = bodies.readings(posts)
         ranges, twists = readings["lidar"].astype(float), readings["velocity"].astype(float)
         sees = ranges < LIDAR.range_m - 1e-3
-        tracker.update(ranges, ranges[:, :, None] * ALONG, sees, twists, STEP_S)
+        tracker.update(ranges, sees, twists, STEP_S)
         wrong += int(tracker.moving_counts[0])
         bodies.move(np.array([[0.2, 0.5 * np.sin(0.05 * step)]]))
     # Segments are wide: a jump between two of them may pass for motion for a moment.

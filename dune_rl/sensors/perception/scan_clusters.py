@@ -1,0 +1,151 @@
+"""Small objects in a LiDAR's scan that do not rest, by the scan's shape and by earlier scans."""
+
+from typing import Any
+
+import numpy as np
+
+from dune_rl.geometry.compiled import compile_function
+
+# What earlier scans tell of the place of a return: that nothing was there, or the same return.
+_WAS_FREE, _RESTS = 1, 2
+# Distance between two returns at one place, and per metre of range [m]; half as much again is before it.
+_SAME_M, _SAME_PER_M = 0.10, 0.02
+# Rays next to each other may see one place if they are this close there [m].
+_BESIDE_M = 0.25
+# An object ends where the range of neighbouring rays jumps by more than this [m], and per metre.
+_JUMP_M, _JUMP_PER_M = 0.35, 0.08
+# Wider ones are walls, banks or hedges.
+_WIDEST_M = 0.9
+# A person's outline is about a circle of this radius.
+_RADIUS_M = 0.25
+# A first guess of the centre lies by this share of the radius behind the middle of the returns.
+_BEHIND = 0.85
+_ROUNDS, _DAMPING = 3, 0.05
+# Standard deviation of a centre [m]; and in gaps between two rays, where one ray or more meet the object.
+_PLACE_M = 0.02
+_ONE_RAY, _MORE_RAYS = 0.5, 0.15
+# Columns of an object: centre x, y, standard deviation [m].
+CLUSTER_COLUMNS = 3
+
+
+@compile_function
+def compare_with_past(
+    places: Any, sees: Any, scans: Any, poses: Any, first_rad: float, per_rad: float, found: Any
+) -> None:
+    """What earlier `scans` (L, S) [m] from `poses` (L, 3) tell of `places` (S, 2), where rays end now.
+
+    `sees` (S,) tells which rays have a return, `first_rad` is the bearing of the first one, `per_rad` the
+    number of rays in a radian. `found` (S,) is 1 where all earlier scans saw past the place, 2 where all saw
+    a return there, and else 0.
+    """
+    rays = len(sees)
+    is_circle = per_rad * 2.0 * np.pi > rays - 0.5
+    for ray in range(rays):
+        found[ray] = 0
+        if not sees[ray] or not len(scans):
+            continue
+        free, same = 0, 0
+        for past in range(len(scans)):
+            right, up = places[ray, 0] - poses[past, 0], places[ray, 1] - poses[past, 1]
+            away = np.hypot(right, up)
+            bearing = np.arctan2(up, right) - poses[past, 2] - first_rad
+            middle = np.int64(np.round(((bearing + np.pi) % (2.0 * np.pi) - np.pi) * per_rad))
+            nearest, miss = np.inf, np.inf
+            for number in range(middle - 1, middle + 2):
+                if is_circle or 0 <= number < rays:
+                    seen = scans[past, number % rays]
+                    nearest = min(nearest, seen)
+                    if number == middle or away < per_rad * _BESIDE_M:
+                        miss = min(miss, abs(seen - away))
+            room = _SAME_M + _SAME_PER_M * away
+            if np.isfinite(nearest) and nearest > away + 1.5 * room:
+                free += 1
+            elif miss < room:
+                same += 1
+        if free == len(scans):
+            found[ray] = _WAS_FREE
+        elif same == len(scans):
+            found[ray] = _RESTS
+
+
+@compile_function
+def find_clusters(
+    ranges: Any, points: Any, sees: Any, was: Any, mount: Any, per_rad: float, found: Any, members: Any
+) -> int:
+    """Small objects that do not rest, in a scan of S rays from `mount` (2,); returns how many.
+
+    `ranges` (S,) [m] are those of the rays, `points` (S, 2) [m] where they end, `sees` (S,) which have a
+    return, `was` (S,) is by `compare_with_past`. An object stands before its background, or where nothing was.
+    `found` (S, 3) gets each one's centre and its standard deviation [m], `members` (S,) the object of each
+    ray, or -1.
+    """
+    rays, count = len(ranges), 0
+    members[:] = -1
+    for first in range(rays):
+        if not sees[first] or was[first] == _RESTS:
+            continue
+        before = (first - 1) % rays
+        jump = _JUMP_M + _JUMP_PER_M * ranges[first]
+        if sees[before] and was[before] != _RESTS and abs(ranges[before] - ranges[first]) < jump:
+            continue
+        size, last = 1, first
+        while size < rays:
+            after = (last + 1) % rays
+            jump = _JUMP_M + _JUMP_PER_M * ranges[last]
+            if not sees[after] or was[after] == _RESTS or abs(ranges[after] - ranges[last]) > jump:
+                break
+            last, size = after, size + 1
+        after = (last + 1) % rays
+        width = np.hypot(points[last, 0] - points[first, 0], points[last, 1] - points[first, 1])
+        if width > _WIDEST_M or size > rays // 2:
+            continue
+        stands_out = not (sees[before] and ranges[before] < ranges[first])
+        stands_out = stands_out and not (sees[after] and ranges[after] < ranges[last])
+        mean, free = 0.0, 0
+        for step in range(size):
+            ray = (first + step) % rays
+            mean += ranges[ray] / size
+            free += was[ray] == _WAS_FREE
+        if not stands_out and not free:
+            continue
+        for step in range(size):
+            members[(first + step) % rays] = count
+        x, y, miss = _fit_circle(points, first, size, mount)
+        gap = mean / per_rad
+        found[count, 0], found[count, 1] = x, y
+        found[count, 2] = _PLACE_M + miss + gap * (_ONE_RAY if size == 1 else _MORE_RAYS)
+        count += 1
+    return count
+
+
+@compile_function
+def _fit_circle(points: Any, first: int, size: int, mount: Any) -> Any:
+    """Centre of a circle of a person's radius through `size` of the `points` (S, 2), and their root mean square
+    distance from it [m]: Gauss and Newton's method, damped so that one point will do.
+    """
+    x, y = 0.0, 0.0
+    for step in range(size):
+        ray = (first + step) % len(points)
+        x += points[ray, 0] / size
+        y += points[ray, 1] / size
+    away = max(np.hypot(x - mount[0], y - mount[1]), 1e-3)
+    x += _BEHIND * _RADIUS_M * (x - mount[0]) / away
+    y += _BEHIND * _RADIUS_M * (y - mount[1]) / away
+    for turn in range(_ROUNDS + 1):
+        xx, xy, yy, to_x, to_y, square = _DAMPING, 0.0, _DAMPING, 0.0, 0.0, 0.0
+        for step in range(size):
+            ray = (first + step) % len(points)
+            right, up = x - points[ray, 0], y - points[ray, 1]
+            distance = max(np.hypot(right, up), 1e-6)
+            right, up, miss = right / distance, up / distance, distance - _RADIUS_M
+            xx += right * right
+            xy += right * up
+            yy += up * up
+            to_x -= right * miss
+            to_y -= up * miss
+            square += miss * miss / size
+        if turn < _ROUNDS:
+            determinant = xx * yy - xy * xy
+            x += (yy * to_x - xy * to_y) / determinant
+            y += (xx * to_y - xy * to_x) / determinant
+    return x, y, np.sqrt(square)
