@@ -45,8 +45,8 @@ class AgentTracks:
     are in the body frame. The others are the velocity of what each segment of the scan sees, away from the
     robot and counter-clockwise, 0 where nothing moves.
 
-    `tracker` reads all beams, and has the odometry by which scans are compared; `ranges` (N, n_segments) [m], `sees` and `moves`
-    (N, n_segments) are of the latest scan.
+    `tracker` reads all beams, and has the odometry by which scans are compared; `ranges` (N, n_segments) [m],
+    `sees` and `moves` (N, n_segments) are of the latest scan.
     """
 
     def __init__(self, name: str, context: SensorContext, conf: AgentTracksConf) -> None:

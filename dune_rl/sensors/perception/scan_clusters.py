@@ -75,9 +75,9 @@ def find_clusters(
     """Small objects that do not rest, in a scan of S rays from `mount` (2,); returns how many.
 
     `ranges` (S,) [m] are those of the rays, `points` (S, 2) [m] where they end, `sees` (S,) which have a
-    return, `was` (S,) is by `compare_with_past`. An object stands before its background, or where nothing was.
-    `found` (S, 3) gets each one's centre and its standard deviation [m], `members` (S,) the object of each
-    ray, or -1.
+    return, `was` (S,) is by `compare_with_past`. An object stands before its background, or where nothing
+    was. `found` (S, 3) gets each one's centre and its standard deviation [m], `members` (S,) the object of
+    each ray, or -1.
     """
     rays, count = len(ranges), 0
     members[:] = -1
@@ -120,8 +120,8 @@ def find_clusters(
 
 @compile_function
 def _fit_circle(points: Any, first: int, size: int, mount: Any) -> Any:
-    """Centre of a circle of a person's radius through `size` of the `points` (S, 2), and their root mean square
-    distance from it [m]: Gauss and Newton's method, damped so that one point will do.
+    """Centre of a circle of a person's radius through `size` of the `points` (S, 2), and their root mean
+    square distance from it [m]: Gauss and Newton's method, damped so that one point will do.
     """
     x, y = 0.0, 0.0
     for step in range(size):

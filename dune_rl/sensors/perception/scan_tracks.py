@@ -74,7 +74,7 @@ def _move_pose(pose: Any, twist: Any, step_s: float) -> None:
 @compile_function
 def _match(clusters: Any, found: int, pose: Any, step_s: float, tracks: Any, count: int, taken: Any) -> int:
     """Move the tracks (T, columns) of a row on, correct them by the `found` clusters, drop what was not seen
-    for long, and begin new ones. `taken` (S,) gets the track of each cluster, or -1; returns how many there are.
+    for long, and begin new ones; how many there are. `taken` (S,) gets the track of each cluster, or -1.
     """
     taken[:found] = -1
     kept = 0
@@ -115,9 +115,9 @@ def track_scans(
     """Update the tracks of N rows by a scan each.
 
     `ranges` (N, S) [m], `points` (N, S, 2) [m] and `sees` (N, S) are of the scan, `rays` is (bearing of the
-    first one [rad], rays per radian). `twists` (N, 2: speed, yaw rate) move the `poses` (N, 3) of the odometry
-    by a step. `past` is (earlier scans (N, L, S), their poses (N, L, 3), how many there were (N,), how many
-    scans ago those are that count). `tracks` (N, T, columns), of which a row has `counts`, are changed.
+    first one [rad], rays per radian). `twists` (N, 2: speed, yaw rate) move the `poses` (N, 3) of the
+    odometry by a step. `past` is (earlier scans (N, L, S), their poses (N, L, 3), how many there were (N,),
+    how many scans ago those are that count). `tracks` (N, T, columns) are changed, `counts` of them in a row.
     `moving` (N, T, 4: x, y, velocity) and `velocities` (N, S, 2), of the rays, are those of what moves, in
     the vehicles' frames.
     """
@@ -201,8 +201,8 @@ class ScanTracker:
         self.velocities[mask] = self.poses[mask] = 0.0
 
     def update(self, ranges: Array, sees: Flags, twists: Array, step_s: float) -> None:
-        """Take a scan: `ranges` (N, S) [m] and which rays have a return, and the readings of speed and yaw rate
-        (N, 2) after the last step.
+        """Take a scan: `ranges` (N, S) [m] and which rays have a return, and the readings of speed and yaw
+        rate (N, 2) after the last step.
         """
         lags = np.maximum(np.round(np.array(_PAST_S) / step_s), 1).astype(np.int64)
         if not np.array_equal(lags, self._lags):
