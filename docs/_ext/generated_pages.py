@@ -25,6 +25,7 @@ from dune_rl.core.registry import Registry
 from dune_rl.core.settings import Settings
 from dune_rl.env.randomisation import RandomisationConf
 from dune_rl.learning.crossq.settings import CrossqConf
+from dune_rl.learning.discrete_sac.settings import DiscreteSacConf
 from dune_rl.learning.imitation.settings import ImitationConf
 from dune_rl.learning.ppo.settings import PpoConf
 from dune_rl.learning.sac.settings import SacConf
@@ -57,6 +58,7 @@ SECTIONS: Mapping[str, tuple[Any, str]] = {
 ALGORITHMS: Mapping[str, type[Settings]] = {
     "sac": SacConf,
     "crossq": CrossqConf,
+    "discrete_sac": DiscreteSacConf,
     "ppo": PpoConf,
     "imitation": ImitationConf,
 }

@@ -117,7 +117,8 @@ def start_learners(learners: Mapping[str, Algorithm], conf: LearningConf) -> Non
             if fault := describe_missing_start(content["groups"], source, group, conf, learners):
                 raise CheckpointError(fault)
             entry = saved_entry(content["groups"], source, group)
-            require_same_networks(learner, entry, source, "Set {}, or start from another run.", conf, group)
+            remedy, relatives = "Set {}, or start from another run.", learner.starts_from
+            require_same_networks(learner, entry, source, remedy, conf, group, relatives)
         except PolicyMismatchError as error:
             raise GroupMismatchError(f"{setting}: {error}", group, location) from None
         except CheckpointError as error:
@@ -184,14 +185,21 @@ def restore_learners(
 
 
 def require_same_networks(
-    learner: Algorithm, entry: Mapping[str, Any], source: Path, remedy: str, conf: LearningConf, group: str
+    learner: Algorithm,
+    entry: Mapping[str, Any],
+    source: Path,
+    remedy: str,
+    conf: LearningConf,
+    group: str,
+    relatives: Collection[str] = (),
 ) -> None:
     """Raise CheckpointError unless `entry`, of the file `source`, has the networks of the learner of `group`.
 
     `remedy` says what to do, with {} for what to set, which depends on where `conf` has the group's settings.
+    `relatives` are other algorithms whose policies will do.
     """
     context = learner.context
-    if entry["algorithm"] != context.algorithm:
+    if entry["algorithm"] not in (context.algorithm, *relatives):
         other = entry["algorithm"]
         raise CheckpointError(f"{source} was trained with {other}. {remedy.format(f'learning={other}')}")
     PolicySpec.from_plain(entry["spec"]).require(context.spec, str(source))

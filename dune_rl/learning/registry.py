@@ -10,6 +10,7 @@ from dune_rl.learning.settings import LearningConf
 # Our algorithms' settings, which can be imported without PyTorch.
 _OWN_SETTINGS = {
     "crossq": "dune_rl.learning.crossq.settings:CrossqConf",
+    "discrete_sac": "dune_rl.learning.discrete_sac.settings:DiscreteSacConf",
     "imitation": "dune_rl.learning.imitation.settings:ImitationConf",
     "ppo": "dune_rl.learning.ppo.settings:PpoConf",
     "sac": "dune_rl.learning.sac.settings:SacConf",
@@ -31,6 +32,7 @@ ALGORITHMS = AlgorithmRegistry(
     "dune_rl.learning.registry:ALGORITHMS",
     own={
         "crossq": "dune_rl.learning.crossq.learner:Crossq",
+        "discrete_sac": "dune_rl.learning.discrete_sac.learner:DiscreteSac",
         "imitation": "dune_rl.learning.imitation.learner:Imitation",
         "ppo": "dune_rl.learning.ppo.learner:Ppo",
         "sac": "dune_rl.learning.sac.learner:Sac",

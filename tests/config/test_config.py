@@ -23,6 +23,7 @@ from dune_rl.core.settings import Settings
 from dune_rl.env.distributions import Integers, LogUniform, Uniform
 from dune_rl.env.randomisation import RandomisationConf
 from dune_rl.learning.crossq.settings import CrossqConf
+from dune_rl.learning.discrete_sac.settings import DiscreteSacConf
 from dune_rl.learning.imitation.settings import ImitationConf
 from dune_rl.learning.ppo.settings import PpoConf
 from dune_rl.learning.sac.settings import SacConf
@@ -247,6 +248,7 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
     ("actors", "trucks"): {"truck": roaming(TruckConf(), 2, speed_mps=2.5, **TRAFFIC)},
     ("learning", "imitation"): ImitationConf(),
     ("learning", "crossq"): CrossqConf(),
+    ("learning", "discrete_sac"): DiscreteSacConf(),
     ("learning", "ppo"): PpoConf(),
     ("learning", "sac"): SacConf(),
     ("metrics", "paper"): MetricsConf(),

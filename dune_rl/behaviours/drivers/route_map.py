@@ -17,8 +17,8 @@ _FINEST_M, _CELL_M = 0.1, 0.2
 _MOST_CELLS, _MOST_COARSE_CELLS = 100_000, 160_000
 # A map reaches so far beyond start and goal, or by their distance; its sides lie on multiples of a raster.
 _MARGIN_M, _RASTER_M = 8.0, 4.0
-# Maps of windows that are kept with a world.
-_KEPT_MAPS = 12
+# Maps of windows that are kept with a world: each takes some 20 MB.
+_KEPT_MAPS = 2
 _EDGE_M = 0.5
 # Steps (rows, columns) in half of 16 directions; the others are their opposites. With 16 directions a route
 # in the open is at most 2.7 % longer than the shortest, with 8 it is 8.2 %.

@@ -6,6 +6,7 @@ from typing import Any
 import torch
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import Tensor, nn
+from torchrl.envs.utils import ExplorationType, exploration_type
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.learning.networks.policy import FEATURES, Architecture, Features, perceptron
@@ -32,33 +33,47 @@ def command_grid(spec: PolicySpec, conf: CommandGridConf) -> Tensor:
 
 
 class CommandHead(nn.Module):
-    """Logits and costs (..., C) of the commands, and the action (..., 2): the command of the least cost."""
+    """Logits and costs (..., C) of the commands, and the action (..., 2): the command of the least cost.
+
+    Where it `draws`, the action is a command drawn by the logits, or the likeliest one where TorchRL's
+    exploration type is deterministic.
+    """
 
     commands: Tensor
 
-    def __init__(self, commands: Tensor, features: int, hidden: Sequence[int]) -> None:
+    def __init__(
+        self, commands: Tensor, features: int, hidden: Sequence[int], *, draws: bool = False
+    ) -> None:
         super().__init__()
+        self._draws = draws
         self.body = perceptron(features, hidden, 2 * len(commands))
         self.register_buffer("commands", commands)
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """In float32 also under autocast."""
         logits, costs = self.body(features).float().chunk(2, -1)
-        return logits, costs, self.commands[costs.argmin(-1)]
+        if not self._draws:
+            chosen = costs.argmin(-1)
+        elif exploration_type() == ExplorationType.RANDOM:
+            chosen = torch.distributions.Categorical(logits=logits).sample()
+        else:
+            chosen = logits.argmax(-1)
+        return logits, costs, self.commands[chosen]
 
 
 def make_command_network(
-    spec: PolicySpec, settings: Mapping[str, Any], device: torch.device | str = "cpu"
+    spec: PolicySpec, settings: Mapping[str, Any], device: torch.device | str = "cpu", *, draws: bool = False
 ) -> TensorDictSequential:
     """From the observation's parts to "logits", "costs" and "action".
 
-    `settings` are those of `Architecture.plain`, with the grid's under "commands".
+    `settings` are those of `Architecture.plain`, with the grid's under "commands"; `draws` is as in
+    `CommandHead`.
     """
     settings = dict(settings)
     commands = command_grid(spec, CommandGridConf(**settings.pop("commands")))
     architecture = Architecture.from_plain(settings)
     features = Features(spec, architecture)
-    head = CommandHead(commands, features.size, architecture.hidden)
+    head = CommandHead(commands, features.size, architecture.hidden, draws=draws)
     return TensorDictSequential(
         TensorDictModule(features, in_keys=spec.keys, out_keys=[FEATURES]),
         TensorDictModule(head, in_keys=[FEATURES], out_keys=["logits", "costs", "action"]),

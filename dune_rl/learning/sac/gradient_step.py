@@ -7,7 +7,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictModule, TensorDictSequential
 from torch import Tensor, nn
-from torchrl.objectives import CrossQLoss, SACLoss, SoftUpdate
+from torchrl.objectives import CrossQLoss, DiscreteSACLoss, SACLoss, SoftUpdate
 
 from dune_rl.learning.networks.critic import CRITIC_FEATURES, CriticFeatures
 from dune_rl.learning.networks.policy import FEATURES, Features, perceptron
@@ -60,7 +60,7 @@ class GradientStep:
 
     def _make_loss(
         self, actor: ProbabilisticTensorDictSequential, spec: PolicySpec, features: int, key: str
-    ) -> SACLoss | CrossQLoss:
+    ) -> SACLoss | CrossQLoss | DiscreteSACLoss:
         """The loss of the actor, and of critics that read `features` features under `key`."""
         conf = self._conf
         assert isinstance(conf, SacConf)
@@ -107,9 +107,10 @@ class GradientStep:
             cut = features.detach().requires_grad_()
             losses = self.loss(self._separate(batch.set(FEATURES, cut)))
         losses["loss_qvalue"].backward()
-        if features.requires_grad:
-            features.backward(cut.grad)
-        (losses["loss_actor"] + losses["loss_alpha"]).backward()
+        if self._trains_actor:
+            if features.requires_grad:
+                features.backward(cut.grad)
+            (losses["loss_actor"] + losses["loss_alpha"]).backward()
         self.optimiser.step()
         self.optimiser.zero_grad()
         self._update_targets()
@@ -120,6 +121,11 @@ class GradientStep:
             "sac/alpha": losses["alpha"].detach(),
             "sac/entropy": losses["entropy"].detach(),
         }
+
+    @property
+    def _trains_actor(self) -> bool:
+        """Whether the policy learns, and the encoder with it, or the critics alone."""
+        return True
 
     def _separate(self, batch: TensorDict) -> TensorDict:
         """The features of actor and critics each under its own key, where they differ."""

@@ -1,0 +1,24 @@
+"""Hyperparameters of discrete soft actor-critic. Importing them loads neither PyTorch nor TorchRL."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from dune_rl.learning.networks.settings import CommandGridConf
+from dune_rl.learning.sac.settings import MaximumEntropyConf
+
+
+class DiscreteSacConf(MaximumEntropyConf):
+    """Soft actor-critic that chooses one of a grid of commands; its policy has the network of `imitation`."""
+
+    name: Literal["discrete_sac"] = "discrete_sac"
+    commands: CommandGridConf = CommandGridConf()
+    scan_channels: int = Field(16, ge=0, le=1024, description="of the convolutions round the scans; 0: none")
+    initial_entropy_coefficient: float = Field(0.02, gt=0)
+    target_entropy: float | None = Field(
+        None, description="nats; null: a quarter of what equally likely commands have"
+    )
+    critic_updates: int = Field(
+        0, ge=0, description="first updates, in which the policy stays as it is: with start_from"
+    )
+    tau: float = Field(0.005, gt=0, le=0.5, description="share of the new weights in each target update")

@@ -1,0 +1,96 @@
+"""Discrete SAC: values of all commands, a policy that stays as it is at first, and what it starts from."""
+
+from pathlib import Path
+
+import pytest
+import torch
+from point_mass import make_point_mass
+from test_sac import _one_step_episodes
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+from training import SMALL, assert_halves_make_a_whole, make_context
+
+from dune_rl.learning.discrete_sac.learner import DiscreteSac
+from dune_rl.learning.discrete_sac.settings import DiscreteSacConf
+from dune_rl.learning.group_policy import Deterministic
+from dune_rl.learning.networks.commands import command_grid
+from dune_rl.learning.networks.settings import CommandGridConf
+from dune_rl.learning.policy_spec import PolicySpec
+
+SPEC = PolicySpec({"goal": 2}, (-1.0, -1.0), (1.0, 1.0))
+GRID = CommandGridConf(speeds=2, reverse_speeds=1, headings=3)
+SMALL_DISCRETE = DiscreteSacConf(
+    commands=GRID,
+    hidden=(16,),
+    batch_size=64,
+    learning_starts=64,
+    warm_up="random",
+    precision="float32",
+    replay=SMALL.replay,
+    collector=SMALL.collector,
+    evaluation=SMALL.evaluation,
+    checkpoint=SMALL.checkpoint,
+)
+
+
+def learner(folder: Path, **changes: object) -> DiscreteSac:
+    conf = SMALL_DISCRETE.model_copy(update={"gamma": 0.9, "learning_rate": 1e-2, **changes})
+    return DiscreteSac(make_context(SPEC, folder), conf)
+
+
+@pytest.mark.parametrize("terminated", [True, False])
+def test_time_limits_bootstrap_and_terminations_do_not(tmp_path: Path, terminated: bool) -> None:
+    torch.manual_seed(0)
+    found = learner(tmp_path, initial_entropy_coefficient=1e-9, entropy_learning_rate=1e-9, tau=0.1)
+    rows = found._codec.encode(_one_step_episodes(SPEC, terminated=terminated))
+    found._learn([rows] * 100)
+    values = found._step.action_values(lambda encode: found._codec.decode(rows, encode, 1.0))
+    # The reward of a step is 1.
+    assert values.mean().item() == pytest.approx(1.0, abs=0.2) if terminated else values.mean() > 2.0
+
+
+def test_an_action_is_the_command_next_to_it(tmp_path: Path) -> None:
+    found = learner(tmp_path)
+    commands = command_grid(SPEC, GRID)
+    steps = _one_step_episodes(SPEC, terminated=True)
+    wanted = torch.arange(steps["action"].shape[0] * steps["action"].shape[1]) % len(commands)
+    steps["action"] = (commands[wanted] + 0.01).reshape(steps["action"].shape)
+    rows = found._codec.encode(steps)
+    batch = found._step._separate(found._codec.decode(rows, found._critic_features.encode, 1.0))
+    assert sorted(batch["action"].tolist()) == sorted(wanted.tolist())
+
+
+def test_the_policy_stays_as_it_is_while_the_critics_begin(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    found = learner(tmp_path, critic_updates=3)
+    rows = found._codec.encode(_one_step_episodes(SPEC, terminated=True))
+    before = {key: value.clone() for key, value in found.policy.network.state_dict().items()}
+    critics = [value.clone() for value in found._step.loss.qvalue_network_params.values(True, True)]
+
+    def changed() -> bool:
+        after = found.policy.network.state_dict()
+        return any(not torch.equal(before[key], after[key]) for key in before)
+
+    found._learn([rows] * 3)
+    assert not changed()
+    now = found._step.loss.qvalue_network_params.values(True, True)
+    assert any(not torch.equal(old, new) for old, new in zip(critics, now, strict=True))
+    found._learn([rows])
+    assert changed()
+
+
+def test_the_policy_draws_commands_and_is_evaluated_by_the_likeliest(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    found = learner(tmp_path)
+    commands = command_grid(SPEC, GRID)
+    observations = _one_step_episodes(SPEC, terminated=True).select("observation")[0]
+    parts = observations["observation"]
+    with set_exploration_type(ExplorationType.RANDOM):
+        drawn = torch.cat([found.policy.network(parts.clone())["action"] for _ in range(20)])
+    assert len(drawn.unique(dim=0)) > 3
+    assert (torch.cdist(drawn.reshape(-1, 2), commands).min(1).values < 1e-6).all()
+    act = Deterministic(found.policy.network)
+    assert torch.equal(act(parts.clone())["action"], act(parts.clone())["action"])
+
+
+def test_two_halves_of_a_run_are_the_whole(tmp_path: Path) -> None:
+    assert_halves_make_a_whole(make_point_mass, tmp_path, SMALL_DISCRETE, frames=384, half=200)
