@@ -1,5 +1,6 @@
 """Discrete SAC: values of all commands, a policy that stays as it is at first, and what it starts from."""
 
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -9,10 +10,12 @@ from test_sac import _one_step_episodes
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from training import SMALL, assert_halves_make_a_whole, make_context
 
+from dune_rl.core.errors import CheckpointError
 from dune_rl.learning.discrete_sac.learner import DiscreteSac
 from dune_rl.learning.discrete_sac.settings import DiscreteSacConf
 from dune_rl.learning.group_policy import Deterministic
-from dune_rl.learning.networks.commands import command_grid
+from dune_rl.learning.learners import require_same_networks
+from dune_rl.learning.networks.commands import command_grid, make_command_network
 from dune_rl.learning.networks.settings import CommandGridConf
 from dune_rl.learning.policy_spec import PolicySpec
 
@@ -90,6 +93,22 @@ def test_the_policy_draws_commands_and_is_evaluated_by_the_likeliest(tmp_path: P
     assert (torch.cdist(drawn.reshape(-1, 2), commands).min(1).values < 1e-6).all()
     act = Deterministic(found.policy.network)
     assert torch.equal(act(parts.clone())["action"], act(parts.clone())["action"])
+
+
+def test_it_starts_from_an_imitated_policy_and_from_no_other(tmp_path: Path) -> None:
+    found = learner(tmp_path)
+    imitated = make_command_network(SPEC, found.network_settings())
+    entry = {"algorithm": "imitation", "spec": SPEC.plain(), "network": found.network_settings()}
+    check = partial(require_same_networks, found, source=tmp_path, conf=SMALL_DISCRETE, group="rover")
+    check(entry, remedy="", relatives=found.starts_from)
+    found.start_from({"policy": imitated.state_dict()})
+    parts = _one_step_episodes(SPEC, terminated=True)["observation"]
+    assert torch.equal(found.policy.network(parts.clone())["logits"], imitated(parts.clone())["logits"])
+    with pytest.raises(CheckpointError, match=r"was trained with sac\. Set learning=sac"):
+        check({**entry, "algorithm": "sac"}, remedy="Set {}", relatives=found.starts_from)
+    # A run goes on with its own algorithm alone.
+    with pytest.raises(CheckpointError, match="was trained with imitation"):
+        check(entry, remedy="Resume with {}")
 
 
 def test_two_halves_of_a_run_are_the_whole(tmp_path: Path) -> None:

@@ -32,7 +32,9 @@ class DiscreteSacStep(GradientStep):
 
     _conf: DiscreteSacConf
 
-    def _make_loss(self, actor: TensorDictModule, spec: PolicySpec, features: int, key: str) -> DiscreteSACLoss:
+    def _make_loss(
+        self, actor: TensorDictModule, spec: PolicySpec, features: int, key: str
+    ) -> DiscreteSACLoss:
         conf, head = self._conf, actor.module
         assert isinstance(head, CommandHead)
         self._commands = head.commands
@@ -126,6 +128,7 @@ class DiscreteSac(MaximumEntropyLearner):
     ConfigError for an action that is no speed and heading.
     """
 
+    _conf: DiscreteSacConf
     step_class = DiscreteSacStep
     starts_from = ("imitation",)
 

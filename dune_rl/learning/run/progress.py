@@ -21,8 +21,8 @@ from rich.progress import (
 
 from dune_rl.learning.evaluation import PeriodicEvaluation
 
-# Speeds are means over this time [s]; over less than the other, they are not told to a user.
-_WINDOW_S, _LEAST_WINDOW_S = 20.0, 15.0
+# Speeds are means over this time [s]. Until the other has passed, as processes start, nothing is estimated.
+_WINDOW_S, _SETTLED_S = 20.0, 35.0
 _ESTIMATE_AFTER_S = 60.0
 # Width of the terminal [columns] from which the bar also shows counts of frames, and the success in training.
 _WIDE = 150
@@ -179,7 +179,7 @@ class RunStatus:
     """Measures a run's speed and reports its progress.
 
     While a warm-up policy drives, neither its success nor its speed counts as those of the training. After a
-    minute of training the reporter is told once how long the run will take.
+    minute, once the speed of training is known, the reporter is told how long the run will take.
     """
 
     def __init__(self, reporter: Reporter, evaluation: PeriodicEvaluation, total_frames: int) -> None:
@@ -203,9 +203,7 @@ class RunStatus:
             left = self._seconds_left(frames)
             self._show(frames, "training", success_rate, left)
             elapsed = time.monotonic() - self._start
-            # Speeds over a moment, as where the warm-up has just ended, would mislead.
-            is_known = self.speed.window_s >= _LEAST_WINDOW_S and not math.isnan(left)
-            if is_known and not self._has_estimated and elapsed >= _ESTIMATE_AFTER_S:
+            if not (math.isnan(left) or self._has_estimated) and elapsed >= _ESTIMATE_AFTER_S:
                 self._has_estimated = True
                 if left >= _ESTIMATE_AFTER_S:
                     self._reporter.note(describe_duration(elapsed, left))
@@ -247,7 +245,7 @@ class SpeedMeter:
     """Frames and updates per second over the last seconds, and the time of an evaluation.
 
     `latest` are the speeds [1/s] at the last mark, zero before the second. They are known well enough for an
-    estimate once they have been measured over 15 s.
+    estimate 35 s after the first one.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -255,11 +253,13 @@ class SpeedMeter:
         self._marks: deque[tuple[float, int, int]] = deque()
         self.latest = (0.0, 0.0)
         self._evaluation_s = 0.0
-        self._is_known = False
+        self._begun_s, self._is_known = math.nan, False
 
     def mark(self, frames: int, updates: int) -> tuple[float, float]:
         """Record the counts now; returns the speeds, and after a pause the speeds from before it."""
         now = self._clock()
+        if math.isnan(self._begun_s):
+            self._begun_s = now
         self._marks.append((now, frames, updates))
         while len(self._marks) > 2 and now - self._marks[0][0] > _WINDOW_S:
             self._marks.popleft()
@@ -267,13 +267,8 @@ class SpeedMeter:
         span = now - start
         if span > 0:
             self.latest = (frames - frames_then) / span, (updates - updates_then) / span
-            self._is_known |= span >= _LEAST_WINDOW_S
+            self._is_known |= now - self._begun_s >= _SETTLED_S
         return self.latest
-
-    @property
-    def window_s(self) -> float:
-        """Time over which the latest speeds were measured [s]."""
-        return self._marks[-1][0] - self._marks[0][0] if self._marks else 0.0
 
     def pause(self, evaluation_s: float) -> None:
         """Leave an evaluation of `evaluation_s` [s], since the last mark, out of the speeds."""
@@ -283,7 +278,7 @@ class SpeedMeter:
     def restart(self) -> None:
         self._marks.clear()
         self.latest = (0.0, 0.0)
-        self._is_known = False
+        self._begun_s, self._is_known = math.nan, False
 
     def seconds_left(self, frames: int, evaluations: int) -> float:
         """Time for so many frames and evaluations at the latest speeds [s]; NaN while they are unknown."""

@@ -1,6 +1,7 @@
 """Tracks of discs that a LiDAR sees, beside where they truly are."""
 
 import numpy as np
+import pytest
 from drivers import LIDAR, DrivenBodies
 from yards import yard
 
@@ -64,3 +65,44 @@ def test_posts_do_not_move_however_the_body_turns() -> None:
         bodies.move(np.array([[0.2, 0.5 * np.sin(0.05 * step)]]))
     # Segments are wide: a jump between two of them may pass for motion for a moment.
     assert wrong < 30
+
+
+FINE = np.arange(128) * (2 * np.pi / 128) - np.pi
+RANGE_M = 12.0
+
+
+def scan_of_disc_before_wall(disc: np.ndarray, wall_x: float) -> np.ndarray:
+    """Ranges (1, 128) [m] from the origin: a disc (x, y, radius) before a wall across the x axis."""
+    ahead = np.cos(FINE)
+    wall = np.where(ahead > 1e-6, wall_x / np.maximum(ahead, 1e-6), RANGE_M)
+    along = disc[0] * np.cos(FINE) + disc[1] * np.sin(FINE)
+    half = disc[2] ** 2 - (disc[0] ** 2 + disc[1] ** 2 - along**2)
+    hits = np.where((half > 0) & (along > 0), along - np.sqrt(np.maximum(half, 0.0)), RANGE_M)
+    return np.minimum(np.minimum(wall, hits), RANGE_M)[None]
+
+
+@pytest.mark.parametrize("wall_x", [11.0, 3.4])
+def test_a_person_is_tracked_to_some_centimetres_also_right_before_a_wall(wall_x: float) -> None:
+    tracker = ScanTracker(1, FINE, MOUNT)
+    person, still = np.array([3.0, -1.5, 0.25]), np.zeros((1, 2))
+    for _ in range(50):
+        ranges = scan_of_disc_before_wall(person, wall_x)
+        tracker.update(ranges, ranges < RANGE_M - 1e-3, still, STEP_S)
+        seen = person.copy()
+        person[1] += STEP_S
+    assert tracker.moving_counts[0] == 1
+    x, y, vx, vy = tracker.moving[0, 0]
+    assert np.hypot(x - seen[0], y - seen[1]) < 0.1
+    assert np.hypot(vx, vy - 1.0) < 0.2
+
+
+def test_a_person_who_stops_rests_after_a_second() -> None:
+    tracker = ScanTracker(1, FINE, MOUNT)
+    person, still = np.array([3.0, -1.0, 0.25]), np.zeros((1, 2))
+    moved = []
+    for step in range(70):
+        ranges = scan_of_disc_before_wall(person, 11.0)
+        tracker.update(ranges, ranges < RANGE_M - 1e-3, still, STEP_S)
+        moved.append(int(tracker.moving_counts[0]))
+        person[1] += STEP_S if step < 30 else 0.0
+    assert moved[25] == 1 and moved[-1] == 0
