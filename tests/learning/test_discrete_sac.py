@@ -104,8 +104,8 @@ def test_it_starts_from_an_imitated_policy_and_from_no_other(tmp_path: Path) -> 
     found.start_from({"policy": imitated.state_dict()})
     parts = _one_step_episodes(SPEC, terminated=True)["observation"]
     assert torch.equal(found.policy.network(parts.clone())["logits"], imitated(parts.clone())["logits"])
-    with pytest.raises(CheckpointError, match=r"was trained with sac\. Set learning=sac"):
-        check({**entry, "algorithm": "sac"}, remedy="Set {}", relatives=found.starts_from)
+    with pytest.raises(CheckpointError, match=r"was trained with ppo\. Set learning=ppo"):
+        check({**entry, "algorithm": "ppo"}, remedy="Set {}", relatives=found.starts_from)
     # A run goes on with its own algorithm alone.
     with pytest.raises(CheckpointError, match="was trained with imitation"):
         check(entry, remedy="Resume with {}")
