@@ -43,7 +43,7 @@ def test_settings_of_the_studies_are_read(file: Path) -> None:
         conf = compose(EvaluateConf, ["policy=random"], (), saved)
     assert conf.external_groups[0].name == "rover"
     # Sets with far goals give three times as long, and one study trained with shorter episodes.
-    of_study = {"all_worlds": 1200}.get(file.parent.name, 2000)
+    of_study = 1200 if file.parent.parent.name == "policies" else 2000
     steps = 6000 if file.parent.name.endswith("-site-v1") else of_study
     assert conf.task.terminations["time_limit"].max_steps == steps  # type: ignore[attr-defined]
     if "learning" in saved:
