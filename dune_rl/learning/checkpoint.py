@@ -53,7 +53,8 @@ def read_checkpoint_file(path: Path, *kinds: str) -> dict[str, Any]:
     except FileNotFoundError as error:
         raise CheckpointError(
             f"There is no {path}.\n"
-            f"Give a run's folder, or a {BEST_POLICY_FILE} or {CHECKPOINT_FILE} inside one."
+            f"Give a run's folder, or a {BEST_POLICY_FILE} or {CHECKPOINT_FILE} inside one, "
+            "or a published policy.pt."
         ) from error
     except (OSError, RuntimeError, EOFError, ValueError, KeyError, pickle.UnpicklingError) as error:
         raise CheckpointError(_unreadable(path, error)) from error

@@ -1,7 +1,7 @@
 """The learners of a run: new, from an earlier run's weights, from a checkpoint, or frozen policies."""
 
 import warnings
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -206,11 +206,16 @@ def require_same_networks(
     # Published policies are older than `learning.networks`.
     theirs, ours = {"networks": {}, **entry["network"]}, learner.network_settings()
     settings = f"learning.groups.{group}" if conf.groups.get(group) else "learning"
-    # Without spaces, so that they can be pasted.
-    different = [
-        f"{settings}.{key}={value}".replace(" ", "")
-        for key, value in theirs.items()
-        if value != ours.get(key, value)
-    ]
+    different = list(_differences(settings, theirs, ours))
     if different:
         raise CheckpointError(f"{source} has networks of another shape. {remedy.format(' '.join(different))}")
+
+
+def _differences(name: str, theirs: Mapping[str, Any], ours: Mapping[str, Any]) -> Iterator[str]:
+    """What to set below `name` so that `ours` becomes `theirs`, in words without spaces, to be pasted."""
+    for key, value in theirs.items():
+        own = ours.get(key, value)
+        if value and isinstance(value, Mapping) and isinstance(own, Mapping) and value.keys() == own.keys():
+            yield from _differences(f"{name}.{key}", value, own)
+        elif value != own:
+            yield f"{name}.{key}={value}".replace(" ", "")

@@ -91,8 +91,8 @@ def test_the_policy_draws_commands_and_is_evaluated_by_the_likeliest(tmp_path: P
         drawn = torch.cat([found.policy.network(parts.clone())["action"] for _ in range(20)])
     assert len(drawn.unique(dim=0)) > 3
     assert (torch.cdist(drawn.reshape(-1, 2), commands).min(1).values < 1e-6).all()
-    act = Deterministic(found.policy.network)
-    assert torch.equal(act(parts.clone())["action"], act(parts.clone())["action"])
+    acted = Deterministic(found.policy.network)(parts.clone())
+    assert torch.equal(acted["action"], commands[acted["logits"].argmax(-1)])
 
 
 def test_it_starts_from_an_imitated_policy_and_from_no_other(tmp_path: Path) -> None:
@@ -106,10 +106,16 @@ def test_it_starts_from_an_imitated_policy_and_from_no_other(tmp_path: Path) -> 
     assert torch.equal(found.policy.network(parts.clone())["logits"], imitated(parts.clone())["logits"])
     with pytest.raises(CheckpointError, match=r"was trained with ppo\. Set learning=ppo"):
         check({**entry, "algorithm": "ppo"}, remedy="Set {}", relatives=found.starts_from)
+    finer = {**entry["network"], "commands": GRID.model_copy(update={"headings": 5}).model_dump()}
+    with pytest.raises(CheckpointError, match=r"Set learning\.commands\.headings=5$"):
+        check({**entry, "network": finer}, remedy="Set {}", relatives=found.starts_from)
     # A run goes on with its own algorithm alone.
     with pytest.raises(CheckpointError, match="was trained with imitation"):
         check(entry, remedy="Resume with {}")
 
 
 def test_two_halves_of_a_run_are_the_whole(tmp_path: Path) -> None:
-    assert_halves_make_a_whole(make_point_mass, tmp_path, SMALL_DISCRETE, frames=384, half=200)
+    # The policy begins to learn in the second half.
+    updates = round(0.0625 * (250 - 64))
+    learning = SMALL_DISCRETE.model_copy(update={"critic_updates": updates})
+    assert_halves_make_a_whole(make_point_mass, tmp_path, learning, frames=384, half=200)

@@ -65,11 +65,15 @@ def test_time_left_counts_frames_and_evaluations() -> None:
     meter.mark(0, 0)
     clock.now += 2.0
     meter.mark(4000, 10)
-    # While processes start, the speed is no measure of a run.
+    # While processes start, the speed is no measure of a run, and an evaluation is no part of that time.
+    clock.now += 30.0
+    meter.pause(evaluation_s=30.0)
     clock.now += 16.0
     meter.mark(4000, 10)
+    clock.now += 1.0
+    meter.mark(4000, 10)
     assert math.isnan(meter.seconds_left(5000, 3))
-    clock.now += 18.0
+    clock.now += 17.0
     meter.mark(13000, 90)
     meter.pause(evaluation_s=7.0)
     assert meter.seconds_left(5000, 3) == pytest.approx(5000 / 500 + 3 * 7.0)

@@ -19,6 +19,6 @@ class DiscreteSacConf(MaximumEntropyConf):
         None, description="nats; null: a quarter of what equally likely commands have"
     )
     critic_updates: int = Field(
-        0, ge=0, description="first updates, in which the policy stays as it is: with start_from"
+        0, ge=0, description="first updates, in which the policy's weights stay as they are: with start_from"
     )
     tau: float = Field(0.005, gt=0, le=0.5, description="share of the new weights in each target update")

@@ -245,7 +245,7 @@ class SpeedMeter:
     """Frames and updates per second over the last seconds, and the time of an evaluation.
 
     `latest` are the speeds [1/s] at the last mark, zero before the second. They are known well enough for an
-    estimate 35 s after the first one.
+    estimate 35 s after the first mark, evaluations left out.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -273,6 +273,7 @@ class SpeedMeter:
     def pause(self, evaluation_s: float) -> None:
         """Leave an evaluation of `evaluation_s` [s], since the last mark, out of the speeds."""
         self._marks.clear()
+        self._begun_s += evaluation_s
         self._evaluation_s = evaluation_s
 
     def restart(self) -> None:

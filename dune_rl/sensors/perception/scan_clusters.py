@@ -8,7 +8,7 @@ from dune_rl.geometry.compiled import compile_function
 
 # What earlier scans tell of the place of a return: that nothing was there, or the same return.
 _WAS_FREE, _RESTS = 1, 2
-# Distance between two returns at one place, and per metre of range [m]; half as much again is before it.
+# Two returns are at one place within this, and per metre of range [m]; past a place is half as much farther.
 _SAME_M, _SAME_PER_M = 0.10, 0.02
 # Rays next to each other may see one place if they are this close there [m].
 _BESIDE_M = 0.25
@@ -29,17 +29,26 @@ CLUSTER_COLUMNS = 3
 
 
 @compile_function
+def _is_circle(rays: int, per_rad: float) -> bool:
+    """Whether `rays`, `per_rad` of them in a radian, go all the way round."""
+    result: bool = per_rad * 2.0 * np.pi < rays + 0.5
+    return result
+
+
+@compile_function
 def compare_with_past(
     places: Any, sees: Any, scans: Any, poses: Any, first_rad: float, per_rad: float, found: Any
 ) -> None:
-    """What earlier `scans` (L, S) [m] from `poses` (L, 3) tell of `places` (S, 2), where rays end now.
+    """What earlier `scans` (L, S) [m] tell of `places` (S, 2) [m], where rays end now.
 
-    `sees` (S,) tells which rays have a return, `first_rad` is the bearing of the first one, `per_rad` the
-    number of rays in a radian. `found` (S,) is 1 where all earlier scans saw past the place, 2 where all saw
-    a return there, and else 0.
+    `places` and `poses` (L, 3: x, y [m], yaw [rad]), of the LiDAR at each scan, are in the odometry's frame.
+    `sees` (S,) tells which rays have a return, `first_rad` is the bearing of the first one in the vehicle's
+    frame, `per_rad` the number of rays in a radian. `found` (S,) is 1 where all earlier scans saw past the
+    place, 2 where all saw a return about there, and else 0.
     """
     rays = len(sees)
-    is_circle = per_rad * 2.0 * np.pi > rays - 0.5
+    is_circle = _is_circle(rays, per_rad)
+    half_rad = 0.5 * (rays - 1) / per_rad
     for ray in range(rays):
         found[ray] = 0
         if not sees[ray] or not len(scans):
@@ -48,8 +57,10 @@ def compare_with_past(
         for past in range(len(scans)):
             right, up = places[ray, 0] - poses[past, 0], places[ray, 1] - poses[past, 1]
             away = np.hypot(right, up)
-            bearing = np.arctan2(up, right) - poses[past, 2] - first_rad
-            middle = np.int64(np.round(((bearing + np.pi) % (2.0 * np.pi) - np.pi) * per_rad))
+            # From the middle of the view, as a view of more than half a circle would else be cut.
+            bearing = np.arctan2(up, right) - poses[past, 2] - first_rad - half_rad
+            bearing = (bearing + np.pi) % (2.0 * np.pi) - np.pi + half_rad
+            middle = np.int64(np.round(bearing * per_rad))
             nearest, miss = np.inf, np.inf
             for number in range(middle - 1, middle + 2):
                 if is_circle or 0 <= number < rays:
@@ -72,25 +83,29 @@ def compare_with_past(
 def find_clusters(
     ranges: Any, points: Any, sees: Any, was: Any, mount: Any, per_rad: float, found: Any, members: Any
 ) -> int:
-    """Small objects that do not rest, in a scan of S rays from `mount` (2,); returns how many.
+    """Small objects that do not rest, in a scan of S rays from `mount` (2,) [m]; returns how many.
 
-    `ranges` (S,) [m] are those of the rays, `points` (S, 2) [m] where they end, `sees` (S,) which have a
-    return, `was` (S,) is by `compare_with_past`. An object stands before its background, or where nothing
-    was. `found` (S, 3) gets each one's centre and its standard deviation [m], `members` (S,) the object of
-    each ray, or -1.
+    All is in the vehicle's frame. `ranges` (S,) [m] are those of the rays, `points` (S, 2) [m] where they
+    end, `sees` (S,) which have a return, `was` (S,) is by `compare_with_past`. An object stands before its
+    background, or where nothing was. `found` (S, 3) gets each one's centre and its standard deviation [m],
+    `members` (S,) the object of each ray, or -1.
     """
     rays, count = len(ranges), 0
+    is_circle = _is_circle(rays, per_rad)
     members[:] = -1
     for first in range(rays):
         if not sees[first] or was[first] == _RESTS:
             continue
         before = (first - 1) % rays
+        is_before = sees[before] and (is_circle or first > 0)
         jump = _JUMP_M + _JUMP_PER_M * ranges[first]
-        if sees[before] and was[before] != _RESTS and abs(ranges[before] - ranges[first]) < jump:
+        if is_before and was[before] != _RESTS and abs(ranges[before] - ranges[first]) < jump:
             continue
         size, last = 1, first
         while size < rays:
             after = (last + 1) % rays
+            if after == 0 and not is_circle:
+                break
             jump = _JUMP_M + _JUMP_PER_M * ranges[last]
             if not sees[after] or was[after] == _RESTS or abs(ranges[after] - ranges[last]) > jump:
                 break
@@ -99,8 +114,9 @@ def find_clusters(
         width = np.hypot(points[last, 0] - points[first, 0], points[last, 1] - points[first, 1])
         if width > _WIDEST_M or size > rays // 2:
             continue
-        stands_out = not (sees[before] and ranges[before] < ranges[first])
-        stands_out = stands_out and not (sees[after] and ranges[after] < ranges[last])
+        is_after = sees[after] and (is_circle or after > 0)
+        stands_out = not (is_before and ranges[before] < ranges[first])
+        stands_out = stands_out and not (is_after and ranges[after] < ranges[last])
         mean, free = 0.0, 0
         for step in range(size):
             ray = (first + step) % rays

@@ -74,7 +74,8 @@ def _move_pose(pose: Any, twist: Any, step_s: float) -> None:
 @compile_function
 def _match(clusters: Any, found: int, pose: Any, step_s: float, tracks: Any, count: int, taken: Any) -> int:
     """Move the tracks (T, columns) of a row on, correct them by the `found` clusters, drop what was not seen
-    for long, and begin new ones; how many there are. `taken` (S,) gets the track of each cluster, or -1.
+    for long, and begin new ones; how many there are. `taken` (S,) gets the track of each cluster, or -1;
+    the body's `pose` (3,) gives the distance that the gate grows with.
     """
     taken[:found] = -1
     kept = 0

@@ -5,7 +5,8 @@ import pytest
 from drivers import LIDAR, DrivenBodies
 from yards import yard
 
-from dune_rl.sensors.lidar import beam_angles
+from dune_rl.sensors.lidar import LidarConf, beam_angles
+from dune_rl.sensors.perception.scan_clusters import compare_with_past, find_clusters
 from dune_rl.sensors.perception.scan_tracks import ScanTracker
 
 STEP_S = 0.05
@@ -106,3 +107,33 @@ def test_a_person_who_stops_rests_after_a_second() -> None:
         moved.append(int(tracker.moving_counts[0]))
         person[1] += STEP_S if step < 30 else 0.0
     assert moved[25] == 1 and moved[-1] == 0
+
+
+@pytest.mark.parametrize("fov_deg", [90.0, 180.0, 270.0, 360.0])
+@pytest.mark.parametrize("turn_radps", [0.0, 1.0])
+def test_what_rests_is_known_to_in_every_field_of_view(fov_deg: float, turn_radps: float) -> None:
+    """Walls all round, seen from a body that stands or turns, with its LiDAR before its middle."""
+    bearings, mount = beam_angles(LidarConf(n_beams=128, fov_deg=fov_deg)), np.array([0.2, 0.0])
+    rays = bearings[0], 1.0 / (bearings[1] - bearings[0])
+
+    def scan(yaw: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        pose = np.array([0.2 * np.cos(yaw), 0.2 * np.sin(yaw), yaw])
+        ahead = np.stack([np.cos(bearings + yaw), np.sin(bearings + yaw)], -1)
+        # A square of 8 by 8 m.
+        reach = np.where(ahead > 0, 4.0 - pose[:2], 4.0 + pose[:2]) / np.maximum(np.abs(ahead), 1e-9)
+        ranges = reach.min(axis=1)
+        return ranges, pose[:2] + ranges[:, None] * ahead, pose
+
+    now, places, _ = scan(0.0)
+    pasts = [scan(-turn_radps * lag) for lag in (0.6, 1.0)]
+    found = np.empty(len(bearings), np.int64)
+    sees = np.ones(len(bearings), bool)
+    scans, poses = np.stack([past[0] for past in pasts]), np.stack([past[2] for past in pasts])
+    compare_with_past(places, sees, scans, poses, *rays, found)
+    # Nothing was where the walls are; what came into view since then is not known.
+    assert not (found == 1).any()
+    share = 1.0 if fov_deg == 360.0 else 1.0 - np.rad2deg(turn_radps) / fov_deg
+    assert np.mean(found == 2) > share - 0.05
+    members = np.empty(len(bearings), np.int64)
+    objects = np.empty((len(bearings), 3))
+    assert find_clusters(now, places, sees, found, mount, rays[1], objects, members) <= 1
