@@ -22,6 +22,9 @@ _CELLS = 80
 _STEP_M = 0.05
 _SLOPE = 0.5
 _REACH = 2
+# So is one this far over the plane through at least so many cells there; a little keeps the plane level where
+# these do not fix its slope [cells²].
+_BUMP_M, _LEAST_CELLS, _LEVELLING = 0.045, 6.0, 1.0
 # A lower height takes the place of a higher one by this share in each look.
 _NEW_SHARE = 0.3
 # Hits this near to the range of a segment that moves are of what moves there.
@@ -45,7 +48,8 @@ class LowObstaclesConf(SensorSettings):
 class LowObstacles(VectorSensor):
     """The reading `name`, (N, n_segments) [m]: distance of the nearest step in each segment of a scan.
 
-    Steps are where the ground rises by more than 5 cm beyond a slope: stones, bricks, kerbs, walls. Segments
+    Steps are where the ground rises by more than 5 cm beyond a slope, or stands out of the plane around by
+    4.5 cm: stones, bricks, kerbs, walls. Segments
     and distances are from the LiDAR's mount. Heights are those of the rays' hits, by the robot's attitude
     and speed readings; what moves in the scan is left out, and a step fades where lower ground is seen.
     """
@@ -138,7 +142,7 @@ def _enter(
             z = max(z, before + _NEW_SHARE * (z - before))
         places[row, column, 0], places[row, column, 1] = x, y
         heights[row, column] = z
-        is_step = False
+        is_step = _stands_out(z, x, y, heights, places, steps)
         for up in range(-_REACH, _REACH + 1):
             for right in range(-_REACH, _REACH + 1):
                 other, beside = (y + up) % _CELLS, (x + right) % _CELLS
@@ -151,6 +155,39 @@ def _enter(
                 elif -rise > least:
                     steps[other, beside] = True
         steps[row, column] = is_step
+
+
+@compile_function
+def _stands_out(z: float, x: int, y: int, heights: Any, places: Any, steps: Any) -> bool:
+    """Whether a height [m] in a cell stands out of the plane through the cells around it, steps left out."""
+    count, right, up, mean = 0.0, 0.0, 0.0, 0.0
+    xx, xy, yy, xz, yz = _LEVELLING, 0.0, _LEVELLING, 0.0, 0.0
+    for row in range(y - _REACH, y + _REACH + 1):
+        for column in range(x - _REACH, x + _REACH + 1):
+            other, beside = row % _CELLS, column % _CELLS
+            if places[other, beside, 0] != column or places[other, beside, 1] != row:
+                continue
+            if steps[other, beside] or (row == y and column == x):
+                continue
+            height, along, across = heights[other, beside], float(column - x), float(row - y)
+            count += 1.0
+            right += along
+            up += across
+            mean += height
+            xx += along * along
+            xy += along * across
+            yy += across * across
+            xz += along * height
+            yz += across * height
+    if count < _LEAST_CELLS:
+        return False
+    right, up, mean = right / count, up / count, mean / count
+    xx, xy, yy = xx - count * right * right, xy - count * right * up, yy - count * up * up
+    xz, yz = xz - count * right * mean, yz - count * up * mean
+    scale = xx * yy - xy * xy
+    slope_x, slope_y = (yy * xz - xy * yz) / scale, (xx * yz - xy * xz) / scale
+    result: bool = z - (mean - slope_x * right - slope_y * up) > _BUMP_M
+    return result
 
 
 @compile_function
