@@ -43,6 +43,7 @@ BEHAVIOURS: Registry[Behaviour] = Registry(
         "go_to_goal": "dune_rl.behaviours.go_to_goal:GoToGoal",
         "herd": "dune_rl.behaviours.herd:Herd",
         "mppi": "dune_rl.behaviours.drivers.mppi:Mppi",
+        "oracle": "dune_rl.behaviours.drivers.oracle:Oracle",
         "orca": "dune_rl.behaviours.people:Orca",
         "patrol": "dune_rl.behaviours.destinations:Patrol",
         "planner": "dune_rl.behaviours.drivers.planner:Planner",

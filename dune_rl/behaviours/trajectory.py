@@ -1,6 +1,7 @@
 """The controller `trajectory`: actors that follow the timed way-points of a world's file, or of others."""
 
 import warnings
+from copy import copy
 from typing import NamedTuple, Self
 from weakref import WeakKeyDictionary
 
@@ -159,6 +160,10 @@ class TrajectoryFollower:
         poses[..., :2] += self._offsets
         self._targets = query_grouped(self._worlds.groups, self._on_ground, poses)
         return self._targets.reshape(-1, 4)
+
+    def twin(self) -> Self:
+        """A copy that moves on by itself; nothing of it is changed in place."""
+        return copy(self)
 
     def hold_back(self, scenes: Scenes, poses: Array) -> None:
         """Set the agents of `scenes` (S,) to `poses` (S, G, 4), to which robots limited them."""

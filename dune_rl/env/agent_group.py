@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dune_rl.behaviours.drivers.context import DriverContext
+from dune_rl.behaviours.drivers.context import DriverContext, Forecast
 from dune_rl.behaviours.drivers.shield import Shield
 from dune_rl.behaviours.paths.follower import PathConf
 from dune_rl.bodies.settings import BodySettings
@@ -146,12 +146,15 @@ class AgentGroup:
         if self.scanner is None:
             self.scanner = self._make_scanner()
 
-    def equip(self, suite: SensorSuite | None, make_scanner: Callable[[], ScanQueries]) -> None:
+    def equip(
+        self, suite: SensorSuite | None, make_scanner: Callable[[], ScanQueries], forecast: Forecast
+    ) -> None:
         """Set the sensors and create the controller; called once, after all groups have been built.
 
-        `make_scanner` makes the LiDAR that measures for terms, once a term needs it.
+        `make_scanner` makes the LiDAR that measures for terms, once a term needs it; `forecast` tells drivers
+        where the neighbours will be.
         """
-        self.suite, self._make_scanner = suite, make_scanner
+        self.suite, self._make_scanner, self.forecast_neighbours = suite, make_scanner, forecast
         if self.needs_scan:
             self.start_scans()
         readers = (suite, self.task, self.measured)
@@ -173,7 +176,7 @@ class AgentGroup:
                 f"action has {self.action_size} components; choose another robot.action"
             )
         lidar = None if self.suite is None else self.suite.settings_of("lidar")
-        bind(DriverContext(self.name, self.body.vehicle(), lidar, self.observe))
+        bind(DriverContext(self.name, self.body.vehicle(), lidar, self.observe, self.forecast_neighbours))
 
     @property
     def is_external(self) -> bool:

@@ -161,7 +161,7 @@ class _SharedParts:
         self._num_on_paths += 1
         if isinstance(path, FileTrajectories):
             on_file = TrajectoryFollower(setup.count, conf.speed_mps, self._worlds, setup.name, path.given)
-            moves = BehaviourController(FollowPath(on_file.advance))
+            moves = BehaviourController(FollowPath(on_file))
             return TrajectoryStarts(on_file, setup.name, radius_m, reach_m), moves
         deepest = conf.max_water_m if conf.flight is None else _ANY_DEPTH_M
         follower = PathFollower(
@@ -177,7 +177,7 @@ class _SharedParts:
             steers=not setup.is_scripted,
             reach_m=reach_m,
         )
-        return starts, BehaviourController(FollowPath(follower.advance)) if setup.is_scripted else None
+        return starts, BehaviourController(FollowPath(follower)) if setup.is_scripted else None
 
 
 def add_sensors(groups: Sequence[AgentGroup], builder: StateBuilder, scenes: SceneManager) -> None:
@@ -188,7 +188,8 @@ def add_sensors(groups: Sequence[AgentGroup], builder: StateBuilder, scenes: Sce
         suite = None
         if group.setup.sensors is not None:
             suite = SensorSuite(group.setup.sensors, _context(group, neighbours, scenes))
-        group.equip(suite, partial(_measuring_scan, group, neighbours, scenes))
+        scans = partial(_measuring_scan, group, neighbours, scenes)
+        group.equip(suite, scans, partial(builder.forecast_neighbours, group))
 
 
 def _measuring_scan(

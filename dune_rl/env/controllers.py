@@ -38,6 +38,11 @@ class BehaviourController:
     def reset(self, mask: Flags, group: GroupState) -> None:
         self._behaviour.reset(mask, group)
 
+    def forecast(self, step_s: float, steps: int) -> Array | None:
+        """Where the agents will be, (N, steps, 2) [m], every `step_s` [s]; None unless ways are fixed."""
+        forecast = getattr(self._behaviour, "forecast", None)
+        return None if forecast is None else forecast(step_s, steps)
+
     def act(self, state: State, group: GroupState, observe: Observe) -> Array:
         try:
             actions = self._behaviour.act(state, group)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.proximity import GroupLayout, Proximity
 from dune_rl.env.scene_manager import scene_rows
-from dune_rl.geometry.arrays import Counts, Flags
+from dune_rl.geometry.arrays import Array, Counts, Flags
 from dune_rl.state.state import ContactState, EpisodeState, GoalState, GroupState, State
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 
@@ -55,6 +55,22 @@ class StateBuilder:
         """The group of each neighbour of an agent of `group`, in the order of `neighbours`."""
         owners = [mover for mover in self._movers for _ in range(mover.count)]
         return [owners[column] for column in self._layouts[group.name].neighbours[0].tolist()]
+
+    def forecast_neighbours(self, group: AgentGroup, step_s: float, steps: int) -> Array:
+        """Where the neighbours of a group's agents will be, (N, K, steps, 2) [m], every `step_s` [s].
+
+        NaN of those whose ways are not fixed. It takes no notice of what may hold them up.
+        """
+        scenes = len(self._worlds)
+        places = np.full((scenes, len(self._kinds), steps, 2), np.nan)
+        for mover in self._movers:
+            forecast = getattr(mover.controller, "forecast", None)
+            found = None if forecast is None else forecast(step_s, steps)
+            if found is not None:
+                first = self._first[mover.name]
+                places[:, first : first + mover.count] = found.reshape(scenes, mover.count, steps, 2)
+        chosen = places[:, self._layouts[group.name].neighbours]
+        return chosen.reshape(scenes * group.count, -1, steps, 2)
 
     # -- states -----------------------------------------------------------------------------------
 

@@ -4,8 +4,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from dune_rl.core.errors import ConfigError
+from dune_rl.geometry.arrays import Array
 from dune_rl.sensors.lidar import LidarConf
 from dune_rl.sensors.sensor import Reading
+
+# Of a time step [s] and a number of steps T: places (N, K, T, 2) [m], NaN of neighbours whose ways are not
+# fixed.
+Forecast = Callable[[float, int], Array]
 
 
 @dataclass(frozen=True)
@@ -31,13 +36,15 @@ class DriverContext:
     """The driven group, called `group`: its vehicle model, its LiDAR if it has one, its readings.
 
     `lidar` has the mount that the body gives it. `observe` returns the latest readings by name, each of
-    shape (N, ...).
+    shape (N, ...). `forecast`, where there is one, returns where the
+    neighbours will be.
     """
 
     group: str
     vehicle: Unicycle
     lidar: LidarConf | None
     observe: Callable[[], dict[str, Reading]]
+    forecast: Forecast | None = None
 
     def require_lidar(self, names: Sequence[str], who: str) -> LidarConf:
         """The LiDAR; raises ConfigError, that `who` cannot act, without it or one of the readings `names`."""

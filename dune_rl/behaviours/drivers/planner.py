@@ -8,7 +8,12 @@ from pydantic import Field
 from dune_rl.behaviours.drivers.context import BoundBehaviour
 from dune_rl.behaviours.drivers.route_map import plan_routes
 from dune_rl.behaviours.drivers.stuck_recovery import StuckRecovery
-from dune_rl.behaviours.drivers.window_loops import choose_commands, score_commands
+from dune_rl.behaviours.drivers.window_loops import (
+    STEPS,
+    choose_commands,
+    predict_actors,
+    score_commands,
+)
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import POSE_COLUMNS, wrap_angle
 from dune_rl.state.state import GroupState, State
@@ -129,9 +134,15 @@ class Planner(BoundBehaviour):
         )
         return (
             poses, twists, self._grids, self._fields, self._waypoints, self._clearances, actors,
-            group.goal.position_w, limits, (_ACCELERATION_MPS2, _YAW_ACCELERATION_RADPS2),
-            self._recovery.recovering,
+            self._predict(actors), group.goal.position_w, limits,
+            (_ACCELERATION_MPS2, _YAW_ACCELERATION_RADPS2), self._recovery.recovering,
         )  # fmt: skip
+
+    def _predict(self, actors: Array) -> Array:
+        """Places (N, T, K, 2) of `actors` (N, K, 6) in the steps of the follower."""
+        places = np.empty((len(actors), STEPS, actors.shape[1], 2))
+        predict_actors(actors, places)
+        return places
 
     def _plan(self, state: State, group: GroupState, anew: Flags) -> None:
         """Plan the routes of the rows in `anew` (N,) and of those whose goals are new, one after another."""

@@ -73,17 +73,22 @@ def _misalignment(grid: Any, waypoints: Any, x: float, y: float, yaw: float) -> 
 
 @compile_function
 def predict_actors(actors: Any, places: Any) -> None:
-    """Future `places` (T, K, 2) of `actors` (K, 6: x, y, velocity, yaw rate, radius), turning for 1 s."""
-    for number in range(len(actors)):
-        x, y = actors[number, 0], actors[number, 1]
-        speed = np.hypot(actors[number, 2], actors[number, 3])
-        course = np.arctan2(actors[number, 3], actors[number, 2])
-        for step in range(len(places)):
-            if step * STEP_S < 1.0:
-                course += actors[number, 4] * STEP_S
-            x += speed * STEP_S * np.cos(course)
-            y += speed * STEP_S * np.sin(course)
-            places[step, number, 0], places[step, number, 1] = x, y
+    """Future `places` (N, T, K, 2) of `actors` (N, K, 6: x, y, velocity, yaw rate, radius).
+
+    They turn for 1 s, and go straight on from then.
+    """
+    for row in range(len(actors)):
+        for number in range(actors.shape[1]):
+            actor = actors[row, number]
+            x, y = actor[0], actor[1]
+            speed = np.hypot(actor[2], actor[3])
+            course = np.arctan2(actor[3], actor[2])
+            for step in range(places.shape[1]):
+                if step * STEP_S < 1.0:
+                    course += actor[4] * STEP_S
+                x += speed * STEP_S * np.cos(course)
+                y += speed * STEP_S * np.sin(course)
+                places[row, step, number, 0], places[row, step, number, 1] = x, y
 
 
 @compile_function
@@ -183,19 +188,18 @@ def _command_cost(
 @compile_function
 def choose_commands(
     poses: Any, twists: Any, grids: Any, fields: Any, waypoints: Any, clearances: Any, actors: Any,
-    goals: Any, vehicle: Any, response: Any, recovering: Any, found: Any,
+    places: Any, goals: Any, vehicle: Any, response: Any, recovering: Any, found: Any,
 ) -> None:  # fmt: skip
     """The cheapest speed [m/s] and yaw rate [rad/s] of each row, `found` (N, 2).
 
     `poses` (N, 3: x, y, yaw), `twists` (N, 2: speed, yaw rate), `grids` (N, 5), cost-to-go `fields`, next
     `waypoints` (numbers of cells) and `clearances` (N, C), `actors` (N, K, 6: x, y, their velocities, yaw
-    rates, radius), `goals` (N, 2). Rows that are `recovering` (N,) get away from where they are instead.
+    rates, radius) and their future `places` (N, T, K, 2), `goals` (N, 2). Rows that are `recovering` (N,) get
+    away from where they are instead.
     """
-    places = np.empty((STEPS, actors.shape[1], 2))
     command = np.empty(3)
     for row in range(len(poses)):
         best = np.inf
-        predict_actors(actors[row], places)
         maps = grids[row], fields[row], waypoints[row], clearances[row]
         for speed_number in range(-_REVERSE_SPEEDS, _SPEEDS):
             if speed_number < 0:
@@ -217,7 +221,7 @@ def choose_commands(
                     command[0], command[1] = speed, turn
                     command[2] = 0.0 if then == 0 else turn
                     cost = _command_cost(
-                        poses[row], twists[row], command, maps, places, actors[row], goals[row], vehicle,
+                        poses[row], twists[row], command, maps, places[row], actors[row], goals[row], vehicle,
                         response, recovering[row], best,
                     )  # fmt: skip
                     if cost < best:
@@ -228,18 +232,16 @@ def choose_commands(
 @compile_function
 def score_commands(
     poses: Any, twists: Any, grids: Any, fields: Any, waypoints: Any, clearances: Any, actors: Any,
-    goals: Any, vehicle: Any, response: Any, recovering: Any, commands: Any, likely: Any, cap: float,
-    costs: Any,
+    places: Any, goals: Any, vehicle: Any, response: Any, recovering: Any, commands: Any, likely: Any,
+    cap: float, costs: Any,
 ) -> None:  # fmt: skip
     """Costs (N, C) of `commands` (C, 2: speed [m/s], yaw rate [rad/s]) in each row, as `choose_commands`.
 
     A cost that is `cap` above the least is inf. `likely` (N,) are numbers of commands that may be cheap.
     """
-    places = np.empty((STEPS, actors.shape[1], 2))
     command = np.empty(3)
     for row in range(len(poses)):
         best = np.inf
-        predict_actors(actors[row], places)
         maps = grids[row], fields[row], waypoints[row], clearances[row]
         for order in range(-1, len(commands)):
             number = likely[row] % len(commands) if order < 0 else order
@@ -255,7 +257,7 @@ def score_commands(
                     continue
                 command[2] = 0.0 if then == 0 else command[1]
                 cost = _command_cost(
-                    poses[row], twists[row], command, maps, places, actors[row], goals[row], vehicle,
+                    poses[row], twists[row], command, maps, places[row], actors[row], goals[row], vehicle,
                     response, recovering[row], min(best + cap, low),
                 )  # fmt: skip
                 low = min(low, cost)

@@ -2,8 +2,9 @@
 
 import math
 from collections.abc import Callable
+from copy import copy
 from itertools import pairwise
-from typing import Literal, NamedTuple, Self
+from typing import Literal, NamedTuple, Protocol, Self
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -284,6 +285,19 @@ class PathFollower:
             poses[..., 2] = np.where(self._offsets.any(axis=2), height, poses[..., 2])
         return poses.reshape(-1, 4)
 
+    def twin(self) -> Self:
+        """A copy that moves on by itself, by the same paths."""
+        twin = copy(self)
+        twin._travelled, twin._step, twin._distances = (
+            self._travelled.copy(),
+            self._step.copy(),
+            self._distances.copy(),
+        )
+        twin._offsets, twin._targets = self._offsets.copy(), self._targets.copy()
+        twin._next_stop_m, twin._pause_left_m = self._next_stop_m.copy(), self._pause_left_m.copy()
+        twin._agents = twin._travelled, twin._step, twin._offsets, twin._targets
+        return twin
+
     def targets(self, scenes: Counts) -> Array:
         """Where the agents of `scenes` (S,) would be on their paths, (S, G, 4), after the last `advance`."""
         return self._targets[scenes]
@@ -312,22 +326,38 @@ class PathFollower:
         self.goals_w = np.where(mask[:, None], ends_w.reshape(-1, 2), self.goals_w)
 
 
+class Follower(Protocol):
+    """Moves agents along their ways."""
+
+    def advance(self, step_s: float) -> Array:
+        """Let `step_s` [s] pass; returns the poses (N, 4)."""
+        ...
+
+    def twin(self) -> Self:
+        """A copy that moves on by itself."""
+        ...
+
+
 class FollowPath:
     """The behaviours `path` and `trajectory`: moves agents along their paths, whatever is in their way.
 
-    Actions are poses (N, 4: x, y, z, yaw) [m, rad], for `KinematicBody(is_prescribed=True)`; `advance`
-    returns those of the agents after a number of seconds.
+    Actions are poses (N, 4: x, y, z, yaw) [m, rad], for `KinematicBody(is_prescribed=True)`.
     """
 
-    def __init__(self, advance: Callable[[float], Array]) -> None:
-        self._advance = advance
+    def __init__(self, follower: Follower) -> None:
+        self._follower = follower
 
     def reset(self, mask: Flags, group: GroupState) -> None:
         """Nothing: the source of starts puts agents on their paths."""
 
     def act(self, state: State, group: GroupState) -> Array:
         """The poses (N, 4) of the agents at the end of the next control step."""
-        return self._advance(group.episode.step_s)
+        return self._follower.advance(group.episode.step_s)
+
+    def forecast(self, step_s: float, steps: int) -> Array:
+        """Where the agents will be, (N, steps, 2) [m], every `step_s` [s] from now on, unless held up."""
+        follower = self._follower.twin()
+        return np.stack([follower.advance(step_s)[:, :2] for _ in range(steps)], axis=1)
 
 
 def _height(world: World, xy: Array) -> Array:

@@ -124,7 +124,7 @@ class EpisodeView:
 
 
 # What built-in policies read, where it is not `goal` alone.
-SENSORS_OF_POLICIES = {"mppi": ("lidar", "goal", "velocity"), "planner": ()}
+SENSORS_OF_POLICIES = {"mppi": ("lidar", "goal", "velocity"), "oracle": (), "planner": ()}
 
 
 def policy_factory(conf: ViewConf, env: EnvBase) -> Callable[[], Policy]:

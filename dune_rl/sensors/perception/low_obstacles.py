@@ -158,7 +158,7 @@ def _enter(
 
 
 @compile_function
-def _stands_out(z: float, x: int, y: int, heights: Any, places: Any, steps: Any) -> bool:
+def _stands_out(z: float, x: Any, y: Any, heights: Any, places: Any, steps: Any) -> bool:
     """Whether a height [m] in a cell stands out of the plane through the cells around it, steps left out."""
     count, right, up, mean = 0.0, 0.0, 0.0, 0.0
     xx, xy, yy, xz, yz = _LEVELLING, 0.0, _LEVELLING, 0.0, 0.0

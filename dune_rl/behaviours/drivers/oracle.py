@@ -1,0 +1,29 @@
+"""The driver `oracle`: as `planner`, with the future of those whose ways are fixed."""
+
+import numpy as np
+
+from dune_rl.behaviours.drivers.planner import Planner
+from dune_rl.behaviours.drivers.window_loops import STEP_S, STEPS
+from dune_rl.geometry.arrays import Array
+
+# A forecast that does not begin this near to where an actor is now is of one that is not there [m].
+_THERE_M = 1.0
+
+
+class Oracle(Planner):
+    """As `Planner`, and knows where actors on paths and trajectories will be, whatever holds them up.
+
+    As a teacher it labels commands with what they will cost, of which a policy learns the mean over all that
+    it cannot tell apart. All other actors are predicted as by `Planner`.
+    """
+
+    def _predict(self, actors: Array) -> Array:
+        places = super()._predict(actors)
+        forecast = self.context.forecast
+        if forecast is None:
+            return places
+        known = np.moveaxis(forecast(STEP_S, STEPS), 1, 2)
+        apart = np.linalg.norm(known[:, :1] - actors[:, None, :, :2], axis=-1, keepdims=True)
+        # False of NaN.
+        found: Array = np.where(apart < _THERE_M, known, places)
+        return found
