@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict
+from torchrl.envs.utils import step_mdp
 
 from dune_rl.config.build import make_learning_env
 from dune_rl.config.compose import compose_environment
@@ -64,10 +65,11 @@ def test_the_planner_drives_by_the_command_that_it_scores_cheapest() -> None:
     assert np.median(differences) < 1e-5
 
 
-def labelled(share: float, noise: float = 0.0):
+def labelled(share: float, noise: float = 0.0, change_cost: float = 0.0):
     env = make_env()
     commands = command_grid(PolicySpec.of(env, "rover"), SMALL).double().numpy()
-    return env.append_transform(TeacherLabels("rover", "planner", commands, 8.0, share, noise)), commands
+    labels = TeacherLabels("rover", "planner", commands, 8.0, change_cost, share, noise)
+    return env.append_transform(labels), commands
 
 
 def test_labels_are_of_the_state_before_a_step_and_the_teacher_drives_in_its_share() -> None:
@@ -90,10 +92,28 @@ def test_labels_are_of_the_state_before_a_step_and_the_teacher_drives_in_its_sha
         each.close()
 
 
+def test_changes_of_the_command_cost_what_they_are_told_to() -> None:
+    found = {}
+    for change_cost in (0.0, 0.5):
+        env, commands = labelled(0.0, change_cost=change_cost)
+        td = env.reset()
+        before = torch.tensor([0.7, -0.4]).expand(4, 1, 2)
+        td = step_mdp(env.step(td.set(("rover", "action"), before.clone())))
+        after = env.step(td.set(("rover", "action"), before.clone()))
+        found[change_cost] = after["next", "rover", TEACHER_COSTS][:, 0].double()
+        env.close()
+    change = torch.tensor(np.abs(commands - [0.7, -0.4]).sum(axis=1))
+    wanted = found[0.0] + 0.5 * change
+    wanted = (wanted - wanted.min(-1, keepdim=True).values).clamp(max=8.0)
+    # Those that are cut off at 8 m are not known to be more.
+    known = found[0.0] < 7.0
+    assert found[0.5][known].numpy() == pytest.approx(wanted[known].numpy(), abs=1e-4)
+
+
 def test_a_driver_without_costs_labels_by_the_distance_from_its_action() -> None:
     env = make_env(world="flat")
     commands = command_grid(PolicySpec.of(env, "rover"), SMALL).double().numpy()
-    env.append_transform(TeacherLabels("rover", "mppi", commands, 8.0, 0.0, 0.0))
+    env.append_transform(TeacherLabels("rover", "mppi", commands, 8.0, 0.0, 0.0, 0.0))
     reference = DriverPolicy("mppi", simulation_in(env), simulation_in(env).external[0])
     td = env.reset()
     wanted = reference(td.clone())["rover", "action"][:, 0]

@@ -80,7 +80,14 @@ class Imitation(Algorithm):
         share = 1.0 if warms_up else conf.teacher_share
         commands = self._commands.double().numpy()
         labels = partial(
-            TeacherLabels, self.context.group, conf.teacher, commands, conf.max_cost, share, conf.noise_share
+            TeacherLabels,
+            self.context.group,
+            conf.teacher,
+            commands,
+            conf.max_cost,
+            conf.change_cost,
+            share,
+            conf.noise_share,
         )
         return partial(_with_labels, make_env, labels)
 

@@ -36,6 +36,11 @@ class ImitationConf(ReplayingConf):
     max_cost: float = Field(
         8.0, gt=0, description="of a command above the best one's, in metres of level way"
     )
+    change_cost: float = Field(
+        0.0,
+        ge=0,
+        description="for each m/s and rad that a command differs from the last one, in metres",
+    )
     temperature: float = Field(0.1, gt=0, description="of the costs, where they make probabilities")
 
     @field_validator("teacher")

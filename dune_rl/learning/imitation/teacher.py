@@ -23,19 +23,21 @@ _DEVIATION_COST = 8.0
 class TeacherLabels(Transform):
     """Transform that adds (`next`, `group`, "teacher_costs"), (M, G, C): costs of C actions before a step.
 
-    `commands` (C, A) are the actions. Costs are those of the driver `teacher` above the best one's, at most
-    `max_cost`. Of a driver without costs they are the squared distance from its action, in shares of the
-    bounds. In a `share` of the episodes the teacher drives, in the others the policy, whose actions the
+    `commands` (C, A) are the actions. Costs are those of the driver `teacher`, plus `change_cost` times what a
+    command differs from the last action, above the best one's, at most `max_cost`. Of a driver without costs
+    they are the squared distance from its action, in shares of the bounds. In a `share` of the episodes the teacher drives, in the others the policy, whose actions the
     teacher is told. In a `noise_share` of the policy's episodes, and twice that of the teacher's, there are
     bursts of random actions, from which both must find back.
     """
 
     def __init__(
-        self, group: str, teacher: str, commands: Array, max_cost: float, share: float, noise_share: float
-    ) -> None:
+        self, group: str, teacher: str, commands: Array, max_cost: float, change_cost: float, share: float,
+        noise_share: float,
+    ) -> None:  # fmt: skip
         super().__init__(in_keys_inv=[(group, "action")])
         self._name, self._teacher, self._commands = group, teacher, commands
-        self._max_cost, self._share, self._noise_share = max_cost, share, noise_share
+        self._max_cost, self._change_cost = max_cost, change_cost
+        self._share, self._noise_share = share, noise_share
         self._driver: BoundDriver | None = None
 
     def _bind(self) -> BoundDriver:
@@ -59,6 +61,9 @@ class TeacherLabels(Transform):
         own = tensordict.get((self._name, "action")).numpy().reshape(len(begins), -1)
         if driver.has_costs:
             costs = driver.costs(self._commands, self._max_cost)
+            if self._change_cost > 0.0:
+                costs += self._change_cost * self._changes()
+                costs = np.minimum(costs - costs.min(axis=1, keepdims=True), self._max_cost)
             best = self._commands[costs.argmin(axis=1)]
         else:
             best = driver.act()
@@ -91,6 +96,15 @@ class TeacherLabels(Transform):
         actions = np.where((self._burst_left > 0)[:, None], self._burst, actions)
         self._burst_left = np.maximum(self._burst_left - 1, 0)
         return actions
+
+    def _changes(self) -> Array:
+        """How much each command differs from the last action, (N, C) [m/s and rad]."""
+        low, high = self._group.action_bounds
+        last = self._simulation.state.groups[self._name].last_action
+        assert last is not None
+        before = low + 0.5 * (last + 1.0) * (high - low)
+        found: Array = np.abs(self._commands - before[:, None]).sum(axis=2)
+        return found
 
     def _deviations(self, actions: Array) -> Array:
         low, high = self._group.action_bounds

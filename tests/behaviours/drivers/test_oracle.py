@@ -69,5 +69,5 @@ def test_oracle_stops_before_who_will_step_into_its_way() -> None:
     assert costs(Planner(1), steps_in).argmin() == FORWARD
     assert costs(Oracle(1), steps_in).argmin() == STOP
     # Nothing is known, or it is about somebody who is elsewhere: as the planner.
-    for other in (np.full((25, 2), np.nan), steps_in + [0.0, 5.0]):
+    for other in (np.full((25, 2), np.nan), steps_in + np.array([0.0, 5.0])):
         assert (costs(Oracle(1), other) == costs(Planner(1), other)).all()
