@@ -23,11 +23,12 @@ _DEVIATION_COST = 8.0
 class TeacherLabels(Transform):
     """Transform that adds (`next`, `group`, "teacher_costs"), (M, G, C): costs of C actions before a step.
 
-    `commands` (C, A) are the actions. Costs are those of the driver `teacher`, plus `change_cost` times what a
-    command differs from the last action, above the best one's, at most `max_cost`. Of a driver without costs
-    they are the squared distance from its action, in shares of the bounds. In a `share` of the episodes the teacher drives, in the others the policy, whose actions the
-    teacher is told. In a `noise_share` of the policy's episodes, and twice that of the teacher's, there are
-    bursts of random actions, from which both must find back.
+    `commands` (C, A) are the actions. Costs are those of the driver `teacher`, plus `change_cost` times how
+    much a command differs from the last action, above the best one's, at most `max_cost`. Of a driver without
+    costs they are the squared distance from its action, in shares of the bounds. In a `share` of the episodes
+    the teacher drives, in the others the policy, whose actions the teacher is told. In a `noise_share` of the
+    policy's episodes, and twice that of the teacher's, there are bursts of random actions, from which both
+    must find back.
     """
 
     def __init__(
