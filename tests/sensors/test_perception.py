@@ -126,6 +126,15 @@ def test_a_brick_below_the_scan_is_a_step_that_is_remembered() -> None:
     simulation.close()
 
 
+@pytest.mark.parametrize(("height_m", "is_known"), [(0.07, True), (0.02, False)])
+def test_a_stone_stands_out_of_the_ground_around(height_m: float, is_known: bool) -> None:
+    simulation = on_ground(box(-2.0 + 0.174 + 1.2, 0.0, 0.15, 0.15, height_m), task={"terminations": {}})
+    for _ in range(10):
+        act(simulation, [0.3, 0.0])
+    assert (readings(simulation)["low_obstacles"][28:36].min() < 1.5) == is_known
+    simulation.close()
+
+
 def test_a_slope_has_no_steps_and_walkers_leave_none() -> None:
     slope = np.broadcast_to(np.linspace(-2.0, 2.0, 11), (11, 11)).copy()
     simulation = on_ground(heights=slope)
