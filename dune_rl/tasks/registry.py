@@ -20,7 +20,7 @@ _REWARDS = [
     *("scan_collision", "smoothness", "velocity"),
 ]
 _TERMINATIONS = {
-    **{name: name for name in ("flipped", "goal_reached", "out_of_world", "time_limit")},
+    **{name: name for name in ("contact", "flipped", "goal_reached", "out_of_world", "time_limit")},
     **{"long_collision": "LongCollision", "stuck": "Stuck"},
 }
 

@@ -92,6 +92,11 @@ def flipped(
     return turned
 
 
+def contact(state: State, group: GroupState) -> Flags:
+    """Whether a collision began in this step."""
+    return group.contacts.new > 0
+
+
 def out_of_world(
     state: State, group: GroupState, *, margin_m: Annotated[float, Field(ge=0.0)] = 0.3
 ) -> Flags:

@@ -291,3 +291,22 @@ def test_a_walker_earns_its_progress_at_any_control_rate(control_hz: int) -> Non
     for _ in range(3):
         assert simulation.step(ahead).groups["walker"].reward == pytest.approx(1.0 / control_hz, abs=1e-3)
     simulation.close()
+
+
+# -- clean goals -----------------------------------------------------------------------------------
+
+
+def clean_goal(**settings: Any) -> TaskConf:
+    words = [f"task.{name}={value}" for name, value in settings.items()]
+    return compose_environment("flat", ["task=clean_goal", *words]).task
+
+
+def test_a_clean_goal_pays_progress_and_ends_at_the_first_collision() -> None:
+    conf = clean_goal(**{"rewards.smoothness.weight": -0.01})
+    driving = agents(progress=0.04, acceleration_b=(3.0, 0.0, 4.0), angular_b=(0.0, 0.0, 1.0))
+    assert earned(driving, conf) == pytest.approx({"progress": 0.04, "smoothness": -0.06})
+    assert ended(driving, conf) == set()
+    met = agents(progress=0.04, touching=True, new=1)
+    assert earned(met, conf) == pytest.approx({"progress": 0.04, "contact": -5.0})
+    assert ended(met, conf) == {"contact", "terminated"}
+    assert earned(agents(progress=0.04, distance=0.5), conf) == pytest.approx({"progress": 0.04, "goal": 5.0})

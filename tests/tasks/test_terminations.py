@@ -52,6 +52,11 @@ def test_out_of_world_is_outside_of_the_extent_less_the_margin(x: float, y: floa
     assert flags(terminations.out_of_world, group, margin_m=margin_m) == [not inside]
 
 
+def test_a_collision_ends_where_it_begins() -> None:
+    began = agents(3, touching=[True, True, False], new=[1, 0, 0])
+    assert flags(terminations.contact, began) == [True, False, False]
+
+
 def test_agents_of_a_scene_share_its_world() -> None:
     group = agents(4, count=2, position=[[0, 0, 0], [49.8, 0, 0], [0, -19.8, 0], [49.6, 19.6, 0]])
     assert flags(terminations.out_of_world, group) == [False, True, True, False]
