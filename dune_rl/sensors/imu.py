@@ -16,7 +16,7 @@ from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.state import GroupState, State
 
 # Index of the yaw in a reading.
-_YAW = 8
+YAW = 8
 
 
 class ImuConf(SensorSettings):
@@ -92,12 +92,12 @@ class Imu6Axis(VectorSensor):
 
     def __init__(self, name: str, context: SensorContext, conf: Imu6AxisConf) -> None:
         limits = context.settings_of("imu")
-        high = np.repeat([limits.acceleration_range_mps2, limits.angular_range_radps, PI32], 3)[:_YAW]
+        high = np.repeat([limits.acceleration_range_mps2, limits.angular_range_radps, PI32], 3)[:YAW]
         super().__init__(name, context.num_rows, -high, high)
         self._imu = context.reading_of("imu")
 
     def measure(self, now: GroupState, state: State) -> None:
-        self._store(self._imu()[:, :_YAW])
+        self._store(self._imu()[:, :YAW])
 
 
 @compile_function

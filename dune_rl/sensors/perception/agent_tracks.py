@@ -7,7 +7,9 @@ from pydantic import Field
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.geometry.arrays import Array, Flags
+from dune_rl.geometry.frames import wrap_angle
 from dune_rl.sensors.context import SensorContext
+from dune_rl.sensors.imu import YAW
 from dune_rl.sensors.lidar import LidarConf, LidarSensor, beam_angles
 from dune_rl.sensors.perception.scan_tracks import ScanTracker
 from dune_rl.sensors.sensor import Bounds, Reading, mount_position
@@ -26,7 +28,7 @@ _NO_RETURN_M = 1e-3
 class AgentTracksConf(SensorSettings):
     """Tracks of what moves in a LiDAR's scans, each with a Kalman filter.
 
-    Walkers are found by the scans and the robot's own speed readings alone. A static object is a track only
+    Walkers are found by the scans, the robot's own speed and the change of its inertial unit's heading alone. A static object is a track only
     while it seems to move.
     """
 
@@ -57,6 +59,7 @@ class AgentTracks:
         self.lidar: LidarConf = sensor.lidar.conf
         self._sensor = sensor
         self._scan, self._velocity = context.reading_of(conf.lidar), context.reading_of("velocity")
+        self._imu, self._yaw = context.reading_of("imu"), np.zeros(context.num_rows)
         segments = self.lidar.n_segments
         # Of the segments, in the body frame.
         beams = beam_angles(self.lidar)
@@ -85,6 +88,7 @@ class AgentTracks:
         """Forget the tracks in `mask` (N,): the first scan is taken after the first control step."""
         self.tracker.forget(mask)
         self._velocities[mask] = 0.0
+        self._yaw = np.where(mask, self._heading(), self._yaw)
         self._nearest = np.where(mask[:, None], 0.0, self._nearest)
         self._look()
         self.moves = self.moves & ~mask[:, None]
@@ -93,7 +97,10 @@ class AgentTracks:
         """Take the scan of a control step."""
         self._look()
         beams = self._sensor.ranges.astype(np.float64)
-        twists = np.ascontiguousarray(self._velocity()[:, :2], np.float64)
+        yaw = self._heading()
+        turned = wrap_angle(yaw - self._yaw)
+        self._yaw = yaw
+        twists = np.column_stack([self._velocity()[:, 0].astype(np.float64), turned / self._step_s])
         self.tracker.update(beams, beams < self.lidar.range_m - _NO_RETURN_M, twists, self._step_s)
         # Of the beam that is the segment's.
         shape = len(beams), len(self.bearings), -1
@@ -102,6 +109,9 @@ class AgentTracks:
         self._velocities = np.take_along_axis(each, nearest, axis=2)[:, :, 0]
         self.moves = np.abs(self._velocities).max(axis=2) > 0.0
         self._nearest = self._nearest_tracks()
+
+    def _heading(self) -> Array:
+        return self._imu()[:, YAW].astype(np.float64)
 
     def _look(self) -> None:
         self.ranges = self._scan().astype(np.float64)
