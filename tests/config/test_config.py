@@ -284,7 +284,8 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
                 name: {"sensor": "lidar_past", "past_s": past_s}
                 for name, past_s in (("past_025", 0.25), ("past_05", 0.5), ("past_1", 1.0))
             },
-            **{name: {} for name in ("agent_tracks", "way_left", "ground_profile", "low_obstacles")},
+            **{name: {} for name in ("agent_tracks", "ground_profile", "low_obstacles")},
+            "way_left": {"low_obstacles": "low_obstacles"},
             **{name: {} for name in ("goal_direction", "velocity", "imu_6axis", "last_action")},
         }
     ),

@@ -135,6 +135,22 @@ def test_a_stone_stands_out_of_the_ground_around(height_m: float, is_known: bool
     simulation.close()
 
 
+def test_ways_lead_round_stones_that_were_seen() -> None:
+    wall = box(-2.0 + 0.174 + 1.2, 0.0, 0.3, 1.0, 0.15)
+    found = {}
+    for low in (None, "low_obstacles"):
+        simulation = simulation_on(plain(wall), sensors={**GROUND, "way_left": {"low_obstacles": low}})
+        simulation.reset(requests={0: {"rover_0": AgentRequest((-2.0, 0.0, 0.0), (3.0, 0.0))}})
+        for _ in range(20):
+            act(simulation, [0.3, 0.0])
+        found[low] = readings(simulation)["way_left"].reshape(3, 16)[1]
+        simulation.close()
+    ahead, aside = 8, (6, 10)
+    assert found[None][ahead] == found[None].min()
+    assert found["low_obstacles"][ahead] > found[None][ahead] + 0.2
+    assert found["low_obstacles"][list(aside)].min() < found["low_obstacles"][ahead]
+
+
 def test_a_slope_has_no_steps_and_walkers_leave_none() -> None:
     slope = np.broadcast_to(np.linspace(-2.0, 2.0, 11), (11, 11)).copy()
     simulation = on_ground(heights=slope)
@@ -220,6 +236,7 @@ def test_with_realism_the_goal_is_that_of_the_receiver(realism: dict[str, Any]) 
         ({"goal_direction": {"far_m": 1.0}}, r"far_m \(1\) must be above near_m \(1.5\)"),
         ({"agent_tracks": {"lidar": "lidr"}}, r"no sensor 'lidr' to read; did you mean lidar"),
         ({"lidar": {}, "way_left": {"tracks": "lidar"}}, r"sensors.way_left.tracks must be .* agent_tracks"),
+        ({"lidar": {}, "way_left": {"low_obstacles": "lidar"}}, r"way_left.low_obstacles must be .* low_obs"),
         (
             {"lidar": {}, "low_obstacles": {"profile": "lidar"}},
             r"low_obstacles.profile must be .* ground_profile",

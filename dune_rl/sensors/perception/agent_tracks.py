@@ -28,8 +28,8 @@ _NO_RETURN_M = 1e-3
 class AgentTracksConf(SensorSettings):
     """Tracks of what moves in a LiDAR's scans, each with a Kalman filter.
 
-    Walkers are found by the scans, the robot's own speed and the change of its inertial unit's heading alone. A static object is a track only
-    while it seems to move.
+    Walkers are found by the scans, the robot's own speed and the change of its inertial unit's heading alone.
+    A static object is a track only while it seems to move.
     """
 
     sensor: Literal["agent_tracks"] = "agent_tracks"

@@ -19,6 +19,8 @@ _HIT, _PASS, _MOST, _OCCUPIED = 2.0, 0.4, 6.0, 3.0
 _MET = 100.0
 # A metre costs 1 and more beside obstacles: within 1.5 cells and within 2.5.
 _AT_COST, _BESIDE_COST = 20.0, 2.0
+# As much at and beside low obstacles, some of which are none.
+_AT_LOW_COST, _BESIDE_LOW_COST = 6.0, 1.0
 _REPLAN_STEPS = 10
 _MOST_ROUNDS = 8
 _FAR = 1e6
@@ -67,20 +69,30 @@ def _enter_scan(
 
 
 @compile_function
-def _costs_of_cells(evidence: Any, costs: Any) -> None:
-    """Cost of a metre in each cell."""
+def _raise_around(row: Any, column: Any, at: float, beside: float, costs: Any) -> None:
+    """Raise the costs around a cell that has an obstacle."""
+    for up in range(-2, 3):
+        for right in range(-2, 3):
+            apart = up * up + right * right
+            y, x = row + up, column + right
+            if apart > 6 or not (0 <= y < CELLS and 0 <= x < CELLS):
+                continue
+            costs[y, x] = max(costs[y, x], 1.0 + (at if apart <= 2 else beside))
+
+
+@compile_function
+def _costs_of_cells(evidence: Any, low: Any, origin: Any, costs: Any) -> None:
+    """Cost of a metre in each cell, by its evidence and by the places (L, 2) [m] of low obstacles."""
     costs[:] = 1.0
     for row in range(CELLS):
         for column in range(CELLS):
-            if evidence[row, column] < _OCCUPIED:
-                continue
-            for up in range(-2, 3):
-                for right in range(-2, 3):
-                    apart = up * up + right * right
-                    y, x = row + up, column + right
-                    if apart > 6 or not (0 <= y < CELLS and 0 <= x < CELLS):
-                        continue
-                    costs[y, x] = max(costs[y, x], 1.0 + (_AT_COST if apart <= 2 else _BESIDE_COST))
+            if evidence[row, column] >= _OCCUPIED:
+                _raise_around(row, column, _AT_COST, _BESIDE_COST, costs)
+    for number in range(len(low)):
+        column = np.int64(np.floor(low[number, 0] / CELL_M)) - origin[0]
+        row = np.int64(np.floor(low[number, 1] / CELL_M)) - origin[1]
+        if 0 <= row < CELLS and 0 <= column < CELLS:
+            _raise_around(row, column, _AT_LOW_COST, _BESIDE_LOW_COST, costs)
 
 
 @compile_function
@@ -132,11 +144,12 @@ def _around(one: float, other: float, margin: int) -> Any:
 @compile_function
 def update_maps(
     poses: Any, mount: Any, bearings: Any, ranges: Any, sees: Any, moves: Any, goals: Any, origins: Any,
-    evidence: Any, ways: Any, planned: Any, ages: Any, margin: int,
+    evidence: Any, ways: Any, planned: Any, ages: Any, margin: int, low: Any, first_low: Any,
 ) -> None:  # fmt: skip
     """Enter a scan into each row's map, and find the ways anew every 0.5 s, or where the goal has moved.
 
-    They are found in a rectangle with the body and the goal, and `margin` cells around these.
+    They are found in a rectangle with the body and the goal, and `margin` cells around these. Low obstacles
+    are at the places `low` (L, 2) [m], those of row i from `first_low[i]` to `first_low[i + 1]`.
     """
     costs = np.empty((CELLS, CELLS))
     for row in range(len(poses)):
@@ -149,7 +162,7 @@ def update_maps(
         apart = np.hypot(goal_x - planned[row, 0], goal_y - planned[row, 1])
         ages[row] += 1
         if moved or not apart < 0.5 or ages[row] >= _REPLAN_STEPS:
-            _costs_of_cells(evidence[row], costs)
+            _costs_of_cells(evidence[row], low[first_low[row] : first_low[row + 1]], origin, costs)
             x, y = pose[0] / CELL_M - origin[0], pose[1] / CELL_M - origin[1]
             to_x, to_y = goal_x / CELL_M - origin[0], goal_y / CELL_M - origin[1]
             box = (*_around(x, to_x, margin), *_around(y, to_y, margin))
@@ -202,11 +215,16 @@ class LocalMap:
             self._evidence[row, line, column] = _MET
             self._planned[row] = np.nan
 
-    def update(self, poses: Array, ranges: Array, sees: Flags, moves: Flags, goals: Array) -> None:
+    def update(
+        self, poses: Array, ranges: Array, sees: Flags, moves: Flags, goals: Array,
+        low: tuple[Array, Array] | None = None,
+    ) -> None:  # fmt: skip
         """Take a scan: `ranges` (N, S) [m], which segments have a return and which of them move (N, S), at
-        `poses` (N, 3) of the odometry; `goals` (N, 2) [m] are in the vehicles' frames.
+        `poses` (N, 3) of the odometry; `goals` (N, 2) [m] are in the vehicles' frames. `low` is as
+        `LowObstacles.places` gives it.
         """
+        nothing = np.zeros((0, 2)), np.zeros(len(poses) + 1, np.int64)
         update_maps(
             poses, self._mount, self._bearings, ranges, sees, moves, goals, self.origins, self._evidence,
-            self.ways, self._planned, self._ages, self._margin,
+            self.ways, self._planned, self._ages, self._margin, *(nothing if low is None else low),
         )  # fmt: skip

@@ -11,6 +11,7 @@ from dune_rl.geometry.compiled import compile_function
 from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.perception.agent_tracks import AgentTracks
 from dune_rl.sensors.perception.local_map import LocalMap, way_left
+from dune_rl.sensors.perception.low_obstacles import LowObstacles
 from dune_rl.sensors.sensor import VectorSensor
 from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.state import GroupState, State
@@ -25,11 +26,15 @@ class WayLeftConf(SensorSettings):
     """How much farther or nearer the goal is by way of points around the robot, over what it has seen.
 
     The map of 32 by 32 m is gathered from the LiDAR's scans by odometry; moving objects are no part of it.
+    Ways also lead round low obstacles, where their sensor is named.
     """
 
     sensor: Literal["way_left"] = "way_left"
     realism: None = Field(None, description="none of its own: its LiDAR's")
     tracks: str = Field("agent_tracks", description="name of the sensor whose scans and odometry it takes")
+    low_obstacles: str | None = Field(
+        None, description="name of the sensor whose low obstacles are on the map, too; null: none are"
+    )
     directions: int = Field(16, ge=4, le=64, description="points on each circle, the first one behind")
     radii_m: tuple[float, ...] = Field((0.6, 1.2, 2.4), min_length=1, description="of the circles [m]")
 
@@ -49,6 +54,13 @@ class WayLeft(VectorSensor):
                 f"sensors.{name}.tracks must be the name of a sensor agent_tracks (got {conf.tracks!r})"
             )
         self._tracks, self._goal = tracks, context.reading_of("goal")
+        low = None if conf.low_obstacles is None else context.sensor_of(conf.low_obstacles)
+        if low is not None and not isinstance(low, LowObstacles):
+            raise ConfigError(
+                f"sensors.{name}.low_obstacles must be the name of a sensor low_obstacles "
+                f"(got {conf.low_obstacles!r})"
+            )
+        self._obstacles = low
         angles = np.arange(conf.directions) * (2 * np.pi / conf.directions) - np.pi
         around = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
         self._points = np.concatenate([radius * around for radius in conf.radii_m])
@@ -67,7 +79,8 @@ class WayLeft(VectorSensor):
 
     def measure(self, now: GroupState, state: State) -> None:
         tracks, goals = self._tracks, self._goals()
-        self.map.update(tracks.tracker.poses, tracks.ranges, tracks.sees, tracks.moves, goals)
+        low = None if self._obstacles is None else self._obstacles.places()
+        self.map.update(tracks.tracker.poses, tracks.ranges, tracks.sees, tracks.moves, goals, low)
         found = np.empty((len(goals), len(self._points)), np.float32)
         _ways_around(tracks.tracker.poses, self.map.ways, self.map.origins, self._points, found)
         self._store(found)
