@@ -316,6 +316,17 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
             "time_limit": {"truncates": False},
         },
     ),
+    ("task", "clean_goal"): with_terms(
+        TaskConf(),
+        rewards={
+            "progress": {"weight": 1.0},
+            **{name: {"weight": 0.0} for name in ("distance", "heading", "velocity", "collision")},
+            "goal": {"weight": 5.0},
+            **{name: {"weight": -5.0} for name in ("contact", "stuck", "flipped", "out_of_world")},
+            "smoothness": {"weight": 0.0},
+        },
+        terminations={"contact": {}},
+    ),
     ("task", "paper"): with_terms(TaskConf(), rewards={"contact": {"weight": 0.0}}),
     ("sensors", "actor"): actor_sensors(),
     ("sensors", "adversary"): actor_sensors(goals=True),

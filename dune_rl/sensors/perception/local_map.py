@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from dune_rl.geometry.arrays import Array, Flags
+from dune_rl.geometry.arrays import Array, Counts, Flags
 from dune_rl.geometry.compiled import compile_function
 
 CELL_M = 0.25
@@ -217,7 +217,7 @@ class LocalMap:
 
     def update(
         self, poses: Array, ranges: Array, sees: Flags, moves: Flags, goals: Array,
-        low: tuple[Array, Array] | None = None,
+        low: tuple[Array, Counts] | None = None,
     ) -> None:  # fmt: skip
         """Take a scan: `ranges` (N, S) [m], which segments have a return and which of them move (N, S), at
         `poses` (N, 3) of the odometry; `goals` (N, 2) [m] are in the vehicles' frames. `low` is as
