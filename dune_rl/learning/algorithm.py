@@ -59,6 +59,8 @@ class Algorithm(ABC):
     architecture = Architecture((256, 256))
     # False: the group acts by its policy, and nothing is learned.
     learns = True
+    # False: no critic teaches the policy.
+    has_critics = True
     # Other algorithms whose policies have the same networks, and can be started from.
     starts_from: tuple[str, ...] = ()
 

@@ -14,6 +14,7 @@ from dune_rl.config.compose import compose_environment
 from dune_rl.core.errors import ConfigError
 from dune_rl.env.torchrl.episode_metrics import simulation_in
 from dune_rl.learning.algorithm import LearnerContext
+from dune_rl.learning.checkpoint import LAST_POLICY_FILE
 from dune_rl.learning.drivers import BoundDriver, DriverPolicy
 from dune_rl.learning.group_policy import Deterministic
 from dune_rl.learning.imitation.learner import Imitation
@@ -174,6 +175,9 @@ def test_a_run_saves_and_goes_on(tmp_path: Path) -> None:
     result = make(resume=tmp_path / "run").train()
     assert result.frames == 384 and result.updates > first.updates > 0
     assert len(result.evaluation["rover"]) == 2
+    # No warning tells that critics begin anew, as there are none.
+    further = conf.model_copy(update={"start_from": str(tmp_path / "run" / LAST_POLICY_FILE)})
+    assert Trainer(make_env, tmp_path / "b", further, seed=1, total_frames=64).train().frames == 64
 
 
 def test_what_cannot_teach_is_refused_before_training(tmp_path: Path) -> None:

@@ -38,6 +38,8 @@ class Imitation(Algorithm):
     and for an action that is no speed and heading.
     """
 
+    has_critics = False
+
     def __init__(self, context: LearnerContext, conf: ImitationConf) -> None:
         self._conf = conf
         self.architecture = Architecture.of(conf)
