@@ -20,7 +20,11 @@ class MixedConf(SeededConf):
     disk_cached: ClassVar[Literal["world", "appearance", "nothing"]] = "nothing"
     name: Literal["mixed"] = "mixed"
     families: tuple[str, ...] = Field(
-        default=("flat", "inspection", "construction", "rubicon", "island", "obstacle_course"),
+        # The hard ones, construction and rubicon, twice.
+        default=(
+            *("flat", "inspection", "construction", "rubicon"),
+            *("island", "obstacle_course", "construction", "rubicon"),
+        ),
         min_length=1,
         max_length=100,
         description="names of worlds; one that is named twice is drawn twice as often",
