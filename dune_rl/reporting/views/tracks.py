@@ -9,6 +9,7 @@ from dune_rl.state.state import GroupState
 from dune_rl.visualization.site_map.panel import Track
 
 _ENDINGS = {
+    "contact": "collision",
     "goal_reached": "goal reached",
     "stuck": "stuck",
     "flipped": "turned over",

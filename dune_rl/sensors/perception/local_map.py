@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from dune_rl.geometry.arrays import Array, Counts, Flags
+from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.compiled import compile_function
 
 CELL_M = 0.25
@@ -81,18 +81,21 @@ def _raise_around(row: Any, column: Any, at: float, beside: float, costs: Any) -
 
 
 @compile_function
-def _costs_of_cells(evidence: Any, low: Any, origin: Any, costs: Any) -> None:
-    """Cost of a metre in each cell, by its evidence and by the places (L, 2) [m] of low obstacles."""
+def _costs_of_cells(evidence: Any, steps: Any, places: Any, cell_m: float, origin: Any, costs: Any) -> None:
+    """Cost of a metre in each cell, by its evidence and by the map of low obstacles, as in `update_maps`."""
     costs[:] = 1.0
     for row in range(CELLS):
         for column in range(CELLS):
             if evidence[row, column] >= _OCCUPIED:
                 _raise_around(row, column, _AT_COST, _BESIDE_COST, costs)
-    for number in range(len(low)):
-        column = np.int64(np.floor(low[number, 0] / CELL_M)) - origin[0]
-        row = np.int64(np.floor(low[number, 1] / CELL_M)) - origin[1]
-        if 0 <= row < CELLS and 0 <= column < CELLS:
-            _raise_around(row, column, _AT_LOW_COST, _BESIDE_LOW_COST, costs)
+    for y in range(len(steps)):
+        for x in range(len(steps)):
+            if not steps[y, x]:
+                continue
+            column = np.int64(np.floor((places[y, x, 0] + 0.5) * cell_m / CELL_M)) - origin[0]
+            row = np.int64(np.floor((places[y, x, 1] + 0.5) * cell_m / CELL_M)) - origin[1]
+            if 0 <= row < CELLS and 0 <= column < CELLS:
+                _raise_around(row, column, _AT_LOW_COST, _BESIDE_LOW_COST, costs)
 
 
 @compile_function
@@ -144,12 +147,13 @@ def _around(one: float, other: float, margin: int) -> Any:
 @compile_function
 def update_maps(
     poses: Any, mount: Any, bearings: Any, ranges: Any, sees: Any, moves: Any, goals: Any, origins: Any,
-    evidence: Any, ways: Any, planned: Any, ages: Any, margin: int, low: Any, first_low: Any,
+    evidence: Any, ways: Any, planned: Any, ages: Any, margin: int, steps: Any, places: Any,
+    cell_m: float,
 ) -> None:  # fmt: skip
     """Enter a scan into each row's map, and find the ways anew every 0.5 s, or where the goal has moved.
 
     They are found in a rectangle with the body and the goal, and `margin` cells around these. Low obstacles
-    are at the places `low` (L, 2) [m], those of row i from `first_low[i]` to `first_low[i + 1]`.
+    are where `steps` (N, C, C) tells, in the cells number `places` (N, C, C, 2) of `cell_m` [m].
     """
     costs = np.empty((CELLS, CELLS))
     for row in range(len(poses)):
@@ -162,7 +166,7 @@ def update_maps(
         apart = np.hypot(goal_x - planned[row, 0], goal_y - planned[row, 1])
         ages[row] += 1
         if moved or not apart < 0.5 or ages[row] >= _REPLAN_STEPS:
-            _costs_of_cells(evidence[row], low[first_low[row] : first_low[row + 1]], origin, costs)
+            _costs_of_cells(evidence[row], steps[row], places[row], cell_m, origin, costs)
             x, y = pose[0] / CELL_M - origin[0], pose[1] / CELL_M - origin[1]
             to_x, to_y = goal_x / CELL_M - origin[0], goal_y / CELL_M - origin[1]
             box = (*_around(x, to_x, margin), *_around(y, to_y, margin))
@@ -217,13 +221,13 @@ class LocalMap:
 
     def update(
         self, poses: Array, ranges: Array, sees: Flags, moves: Flags, goals: Array,
-        low: tuple[Array, Counts] | None = None,
+        low: tuple[Flags, Any, float] | None = None,
     ) -> None:  # fmt: skip
         """Take a scan: `ranges` (N, S) [m], which segments have a return and which of them move (N, S), at
         `poses` (N, 3) of the odometry; `goals` (N, 2) [m] are in the vehicles' frames. `low` is as
-        `LowObstacles.places` gives it.
+        `LowObstacles.map` gives it.
         """
-        nothing = np.zeros((0, 2)), np.zeros(len(poses) + 1, np.int64)
+        nothing = np.zeros((len(poses), 0, 0), bool), np.zeros((len(poses), 0, 0, 2), np.int32), CELL_M
         update_maps(
             poses, self._mount, self._bearings, ranges, sees, moves, goals, self.origins, self._evidence,
             self.ways, self._planned, self._ages, self._margin, *(nothing if low is None else low),

@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from dune_rl.core.errors import ConfigError
-from dune_rl.geometry.arrays import Array, Counts, Flags
+from dune_rl.geometry.arrays import Flags
 from dune_rl.geometry.compiled import compile_function
 from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.ground_profile import GroundProfile
@@ -82,15 +82,10 @@ class LowObstacles(VectorSensor):
         self._climbed_m += self._velocity()[:, 0] * self._profile.pitch_sine * self._step_s
         self._look(np.ones(len(self._climbed_m), bool))
 
-    def places(self) -> tuple[Array, Counts]:
-        """Places (L, 2) [m] of all steps, row after row, in the odometry's frame.
-
-        Beside them the number of the first step of each row, and that of all (N + 1,).
-        """
-        rows, *cells = np.nonzero(self._steps)
-        places: Array = np.asarray(self._places[rows, cells[0], cells[1]] + 0.5, np.float64) * _CELL_M
-        firsts: Counts = np.searchsorted(rows, np.arange(len(self._steps) + 1))
-        return places, firsts
+    @property
+    def map(self) -> tuple[Flags, Any, float]:
+        """Where steps are (N, C, C), each cell's numbers in the odometry's frame (N, C, C, 2), its width [m]."""
+        return self._steps, self._places, _CELL_M
 
     def _look(self, mask: Flags) -> None:
         """Enter what the rays of the agents in `mask` (N,) meet; the others keep their maps and readings."""

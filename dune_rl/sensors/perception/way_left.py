@@ -79,7 +79,7 @@ class WayLeft(VectorSensor):
 
     def measure(self, now: GroupState, state: State) -> None:
         tracks, goals = self._tracks, self._goals()
-        low = None if self._obstacles is None else self._obstacles.places()
+        low = None if self._obstacles is None else self._obstacles.map
         self.map.update(tracks.tracker.poses, tracks.ranges, tracks.sees, tracks.moves, goals, low)
         found = np.empty((len(goals), len(self._points)), np.float32)
         _ways_around(tracks.tracker.poses, self.map.ways, self.map.origins, self._points, found)
