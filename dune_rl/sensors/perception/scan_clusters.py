@@ -12,7 +12,7 @@ _WAS_FREE, _RESTS = 1, 2
 _SAME_M, _SAME_PER_M = 0.10, 0.02
 # Rays next to each other may see one place if they are this close there [m].
 _BESIDE_M = 0.25
-# An object ends where the range of neighbouring rays jumps by more than this [m], and per metre.
+# An object ends where the range of neighbouring rays jumps by more than this [m], and per metre of the nearer one.
 _JUMP_M, _JUMP_PER_M = 0.35, 0.08
 # Wider ones are walls, banks or hedges.
 _WIDEST_M = 0.9
@@ -32,6 +32,13 @@ CLUSTER_COLUMNS = 3
 def _is_circle(rays: int, per_rad: float) -> bool:
     """Whether `rays`, `per_rad` of them in a radian, go all the way round."""
     result: bool = per_rad * 2.0 * np.pi < rays + 0.5
+    return result
+
+
+@compile_function
+def _jumps(one_m: float, other_m: float) -> bool:
+    """Whether neighbouring rays of these ranges [m] meet different objects."""
+    result: bool = abs(one_m - other_m) > _JUMP_M + _JUMP_PER_M * min(one_m, other_m)
     return result
 
 
@@ -98,16 +105,14 @@ def find_clusters(
             continue
         before = (first - 1) % rays
         is_before = sees[before] and (is_circle or first > 0)
-        jump = _JUMP_M + _JUMP_PER_M * ranges[first]
-        if is_before and was[before] != _RESTS and abs(ranges[before] - ranges[first]) < jump:
+        if is_before and was[before] != _RESTS and not _jumps(ranges[before], ranges[first]):
             continue
         size, last = 1, first
         while size < rays:
             after = (last + 1) % rays
             if after == 0 and not is_circle:
                 break
-            jump = _JUMP_M + _JUMP_PER_M * ranges[last]
-            if not sees[after] or was[after] == _RESTS or abs(ranges[after] - ranges[last]) > jump:
+            if not sees[after] or was[after] == _RESTS or _jumps(ranges[last], ranges[after]):
                 break
             last, size = after, size + 1
         after = (last + 1) % rays
