@@ -84,7 +84,7 @@ class LowObstacles(VectorSensor):
 
     @property
     def map(self) -> tuple[Flags, Any, float]:
-        """Where steps are (N, C, C), each cell's numbers in the odometry's frame (N, C, C, 2), its width [m]."""
+        """Where steps are (N, C, C), the cells in the odometry frame (N, C, C, 2), their width [m]."""
         return self._steps, self._places, _CELL_M
 
     def _look(self, mask: Flags) -> None:
