@@ -12,7 +12,7 @@ _WAS_FREE, _RESTS = 1, 2
 _SAME_M, _SAME_PER_M = 0.10, 0.02
 # Rays next to each other may see one place if they are this close there [m].
 _BESIDE_M = 0.25
-# An object ends where the range of neighbouring rays jumps by more than this [m], and per metre of the nearer.
+# An object ends where the range of neighbouring rays jumps by more than this [m], and per metre of range.
 _JUMP_M, _JUMP_PER_M = 0.35, 0.08
 # Wider ones are walls, banks or hedges.
 _WIDEST_M = 0.9
