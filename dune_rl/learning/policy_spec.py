@@ -220,15 +220,15 @@ class PolicySpec:
 
     def require(self, here: "PolicySpec", source: str) -> None:
         """Raise PolicyMismatchError unless a policy of this spec, read from `source`, fits `here`."""
-        faults = []
-        for key in sorted({*self.keys, *here.keys}):
-            there, now = self._extent(key), here._extent(key)
-            if there is None:
-                faults.append(f"{key} is missing there, {now} here")
-            elif now is None:
-                faults.append(f"{key} has {there} there, is missing here")
-            elif there != now:
-                faults.append(f"{key} has {there} there, {now} here")
+        keys = sorted({*self.keys, *here.keys})
+        extents = [(key, self._extent(key), here._extent(key)) for key in keys]
+        faults = [
+            f"{key} has {there} there, {now} here" for key, there, now in extents if there and now and there != now
+        ]
+        if alone := [f"{key} ({there})" for key, there, now in extents if now is None]:
+            faults.append(f"there alone are {', '.join(alone)}")
+        if alone := [f"{key} ({now})" for key, there, now in extents if there is None]:
+            faults.append(f"here alone are {', '.join(alone)}")
         theirs, ours = (
             ", ".join(f"[{low:g}, {high:g}]" for low, high in zip(each.low, each.high, strict=True))
             for each in (self, here)
