@@ -66,10 +66,10 @@ def test_the_planner_drives_by_the_command_that_it_scores_cheapest() -> None:
     assert np.median(differences) < 1e-5
 
 
-def labelled(share: float, noise: float = 0.0, change_cost: float = 0.0):
+def labelled(share: float, noise: float = 0.0, change_cost: float = 0.0, standing_cost: float = 0.0):
     env = make_env()
     commands = command_grid(PolicySpec.of(env, "rover"), SMALL).double().numpy()
-    labels = TeacherLabels("rover", "planner", commands, 8.0, change_cost, share, noise)
+    labels = TeacherLabels("rover", "planner", commands, 8.0, change_cost, standing_cost, share, noise)
     return env.append_transform(labels), commands
 
 
@@ -111,10 +111,24 @@ def test_changes_of_the_command_cost_what_they_are_told_to() -> None:
     assert found[0.5][known].numpy() == pytest.approx(wanted[known].numpy(), abs=1e-4)
 
 
+def test_commands_of_no_speed_cost_what_they_are_told_to() -> None:
+    found = {}
+    for standing_cost in (0.0, 0.5):
+        env, commands = labelled(0.0, standing_cost=standing_cost)
+        after = env.step(env.reset().set(("rover", "action"), torch.zeros(4, 1, 2)))
+        found[standing_cost] = after["next", "rover", TEACHER_COSTS][:, 0].double()
+        env.close()
+    stands = torch.tensor(commands[:, 0] == 0.0)
+    assert stands.any() and not stands.all()
+    wanted = found[0.0] + 0.5 * stands
+    wanted = (wanted - wanted.min(-1, keepdim=True).values).clamp(max=8.0)
+    assert found[0.5].numpy() == pytest.approx(wanted.numpy(), abs=1e-4)
+
+
 def test_a_driver_without_costs_labels_by_the_distance_from_its_action() -> None:
     env = make_env(world="flat")
     commands = command_grid(PolicySpec.of(env, "rover"), SMALL).double().numpy()
-    env.append_transform(TeacherLabels("rover", "mppi", commands, 8.0, 0.0, 0.0, 0.0))
+    env.append_transform(TeacherLabels("rover", "mppi", commands, 8.0, 0.0, 0.0, 0.0, 0.0))
     reference = DriverPolicy("mppi", simulation_in(env), simulation_in(env).external[0])
     td = env.reset()
     wanted = reference(td.clone())["rover", "action"][:, 0]

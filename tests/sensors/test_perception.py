@@ -10,6 +10,7 @@ from simulations import act, put_walkers, simulation_on, started_simulation
 from dune_rl.core.errors import ConfigError
 from dune_rl.env.requests import AgentRequest
 from dune_rl.env.simulation import VectorSimulation
+from dune_rl.sensors.perception.local_map import LocalMap, way_left
 
 SENSORS = {
     "lidar": {"n_segments": 64},
@@ -250,3 +251,33 @@ def test_with_realism_the_goal_is_that_of_the_receiver(realism: dict[str, Any]) 
 def test_other_sensors_are_refused(sensors: dict[str, Any], said: str) -> None:
     with pytest.raises(ConfigError, match=said):
         started_simulation(sensors=sensors)
+
+
+def ways_past(map_: LocalMap, distance: float, scans: int, low: Any = None) -> float:
+    """How much longer the way 6 m ahead is than straight on, after scans of a beam that ends at `distance`."""
+    for _ in range(scans):
+        map_.update(
+            np.zeros((1, 3)), np.array([[distance]]), np.array([[distance < 10.0]]), np.zeros((1, 1), bool),
+            np.array([[6.0, 0.0]]), low,
+        )  # fmt: skip
+    return way_left(map_.ways[0], map_.origins[0], 0.1, 0.1) - 6.0
+
+
+def test_what_was_seen_for_long_outlasts_beams_that_pass_beside_it() -> None:
+    wall, moment = (LocalMap(1, np.zeros(1), np.zeros(2)) for _ in range(2))
+    nothing = ways_past(LocalMap(1, np.zeros(1), np.zeros(2)), 10.0, 20)
+    assert ways_past(wall, 2.0, 40) > nothing + 0.2
+    assert ways_past(wall, 10.0, 40) > nothing + 0.2
+    assert ways_past(moment, 2.0, 2) == pytest.approx(nothing, abs=0.05)
+    assert ways_past(moment, 10.0, 40) == pytest.approx(nothing, abs=0.05)
+
+
+def test_low_obstacles_out_of_sight_stay_on_the_map() -> None:
+    seen = np.ones((1, 1, 1), bool), np.array([[[[20, 0]]]], np.int32), 0.1
+    flat = np.zeros((1, 1, 1), bool), np.array([[[[20, 0]]]], np.int32), 0.1
+    map_ = LocalMap(1, np.zeros(1), np.zeros(2))
+    nothing = ways_past(map_, 10.0, 20)
+    assert ways_past(map_, 10.0, 20, seen) > nothing + 0.1
+    assert ways_past(map_, 10.0, 20) > nothing + 0.1
+    # Lower ground that is seen there takes them off.
+    assert ways_past(map_, 10.0, 20, flat) == pytest.approx(nothing, abs=0.05)

@@ -88,6 +88,7 @@ class Imitation(Algorithm):
             commands,
             conf.max_cost,
             conf.change_cost,
+            conf.standing_cost,
             share,
             conf.noise_share,
         )

@@ -24,7 +24,8 @@ class TeacherLabels(Transform):
     """Transform that adds (`next`, `group`, "teacher_costs"), (M, G, C): costs of C actions before a step.
 
     `commands` (C, A) are the actions. Costs are those of the driver `teacher`, plus `change_cost` times how
-    much a command differs from the last action, above the best one's, at most `max_cost`. Of a driver without
+    much a command differs from the last action, and `standing_cost` for commands of no speed, above the best
+    one's, at most `max_cost`. Of a driver without
     costs they are the squared distance from its action, in shares of the bounds. In a `share` of the episodes
     the teacher drives, in the others the policy, whose actions the teacher is told. In a `noise_share` of the
     policy's episodes, and twice that of the teacher's, there are bursts of random actions, from which both
@@ -32,12 +33,13 @@ class TeacherLabels(Transform):
     """
 
     def __init__(
-        self, group: str, teacher: str, commands: Array, max_cost: float, change_cost: float, share: float,
-        noise_share: float,
+        self, group: str, teacher: str, commands: Array, max_cost: float, change_cost: float,
+        standing_cost: float, share: float, noise_share: float,
     ) -> None:  # fmt: skip
         super().__init__(in_keys_inv=[(group, "action")])
         self._name, self._teacher, self._commands = group, teacher, commands
         self._max_cost, self._change_cost = max_cost, change_cost
+        self._standing_costs = np.where(commands[:, 0] == 0.0, standing_cost, 0.0)
         self._share, self._noise_share = share, noise_share
         self._driver: BoundDriver | None = None
 
@@ -62,8 +64,8 @@ class TeacherLabels(Transform):
         own = tensordict.get((self._name, "action")).numpy().reshape(len(begins), -1)
         if driver.has_costs:
             costs = driver.costs(self._commands, self._max_cost)
-            if self._change_cost > 0.0:
-                costs += self._change_cost * self._changes()
+            if self._change_cost > 0.0 or self._standing_costs.any():
+                costs += self._change_cost * self._changes() + self._standing_costs
                 costs = np.minimum(costs - costs.min(axis=1, keepdims=True), self._max_cost)
             best = self._commands[costs.argmin(axis=1)]
         else:

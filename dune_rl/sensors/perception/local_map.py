@@ -14,7 +14,7 @@ _ROOM = 32
 # Returns from farther are not entered, since a segment is wide there.
 _FARTHEST_M = 5.0
 # Evidence of an obstacle in a cell: by a return, by a beam that passes, at most, and from where on it is one.
-_HIT, _PASS, _MOST, _OCCUPIED = 2.0, 0.4, 6.0, 3.0
+_HIT, _PASS, _MOST, _OCCUPIED = 2.0, 0.4, 60.0, 3.0
 # That of what the body has met, which no beam takes back.
 _MET = 100.0
 # A metre costs 1 and more beside obstacles: within 1.5 cells and within 2.5.
@@ -27,18 +27,20 @@ _FAR = 1e6
 
 
 @compile_function
-def _recentre(pose: Any, origin: Any, evidence: Any) -> bool:
-    """Move a map (CELLS, CELLS) along if the body is far from its middle; whether it has moved."""
+def _recentre(pose: Any, origin: Any, evidence: Any, low: Any) -> bool:
+    """Move a map's layers (CELLS, CELLS) along if the body is far from its middle; whether they have moved."""
     column = np.int64(np.floor(pose[0] / CELL_M)) - CELLS // 2
     row = np.int64(np.floor(pose[1] / CELL_M)) - CELLS // 2
     right, up = column - origin[0], row - origin[1]
     if abs(right) <= _ROOM and abs(up) <= _ROOM:
         return False
-    old = evidence.copy()
+    old, old_low = evidence.copy(), low.copy()
     evidence[:] = 0.0
+    low[:] = False
     for y in range(max(0, -up), min(CELLS, CELLS - up)):
         for x in range(max(0, -right), min(CELLS, CELLS - right)):
             evidence[y, x] = old[y + up, x + right]
+            low[y, x] = old_low[y + up, x + right]
     origin[0], origin[1] = column, row
     return True
 
@@ -81,20 +83,28 @@ def _raise_around(row: Any, column: Any, at: float, beside: float, costs: Any) -
 
 
 @compile_function
-def _costs_of_cells(evidence: Any, steps: Any, places: Any, cell_m: float, origin: Any, costs: Any) -> None:
-    """Cost of a metre in each cell, by its evidence and by the map of low obstacles, as in `update_maps`."""
+def _enter_low(steps: Any, places: Any, cell_m: float, origin: Any, low: Any) -> None:
+    """Enter a map of low obstacles, as in `update_maps`, into the layer `low` (CELLS, CELLS)."""
+    for is_step in (False, True):
+        for y in range(len(steps)):
+            for x in range(len(steps)):
+                if steps[y, x] != is_step:
+                    continue
+                column = np.int64(np.floor((places[y, x, 0] + 0.5) * cell_m / CELL_M)) - origin[0]
+                row = np.int64(np.floor((places[y, x, 1] + 0.5) * cell_m / CELL_M)) - origin[1]
+                if 0 <= row < CELLS and 0 <= column < CELLS:
+                    low[row, column] = is_step
+
+
+@compile_function
+def _costs_of_cells(evidence: Any, low: Any, costs: Any) -> None:
+    """Cost of a metre in each cell, by its evidence and by low obstacles."""
     costs[:] = 1.0
     for row in range(CELLS):
         for column in range(CELLS):
             if evidence[row, column] >= _OCCUPIED:
                 _raise_around(row, column, _AT_COST, _BESIDE_COST, costs)
-    for y in range(len(steps)):
-        for x in range(len(steps)):
-            if not steps[y, x]:
-                continue
-            column = np.int64(np.floor((places[y, x, 0] + 0.5) * cell_m / CELL_M)) - origin[0]
-            row = np.int64(np.floor((places[y, x, 1] + 0.5) * cell_m / CELL_M)) - origin[1]
-            if 0 <= row < CELLS and 0 <= column < CELLS:
+            elif low[row, column]:
                 _raise_around(row, column, _AT_LOW_COST, _BESIDE_LOW_COST, costs)
 
 
@@ -147,18 +157,19 @@ def _around(one: float, other: float, margin: int) -> Any:
 @compile_function
 def update_maps(
     poses: Any, mount: Any, bearings: Any, ranges: Any, sees: Any, moves: Any, goals: Any, origins: Any,
-    evidence: Any, ways: Any, planned: Any, ages: Any, margin: int, steps: Any, places: Any,
+    evidence: Any, low: Any, ways: Any, planned: Any, ages: Any, margin: int, steps: Any, places: Any,
     cell_m: float,
 ) -> None:  # fmt: skip
     """Enter a scan into each row's map, and find the ways anew every 0.5 s, or where the goal has moved.
 
     They are found in a rectangle with the body and the goal, and `margin` cells around these. Low obstacles
-    are where `steps` (N, C, C) tells, in the cells number `places` (N, C, C, 2) of `cell_m` [m].
+    are where `steps` (N, C, C) tells, in the cells number `places` (N, C, C, 2) of `cell_m` [m]; the layers
+    `low` (N, CELLS, CELLS) keep them.
     """
     costs = np.empty((CELLS, CELLS))
     for row in range(len(poses)):
         pose, origin = poses[row], origins[row]
-        moved = _recentre(pose, origin, evidence[row])
+        moved = _recentre(pose, origin, evidence[row], low[row])
         _enter_scan(pose, mount, bearings, ranges[row], sees[row], moves[row], origin, evidence[row])
         cos, sin = np.cos(pose[2]), np.sin(pose[2])
         goal_x = pose[0] + cos * goals[row, 0] - sin * goals[row, 1]
@@ -166,7 +177,8 @@ def update_maps(
         apart = np.hypot(goal_x - planned[row, 0], goal_y - planned[row, 1])
         ages[row] += 1
         if moved or not apart < 0.5 or ages[row] >= _REPLAN_STEPS:
-            _costs_of_cells(evidence[row], steps[row], places[row], cell_m, origin, costs)
+            _enter_low(steps[row], places[row], cell_m, origin, low[row])
+            _costs_of_cells(evidence[row], low[row], costs)
             x, y = pose[0] / CELL_M - origin[0], pose[1] / CELL_M - origin[1]
             to_x, to_y = goal_x / CELL_M - origin[0], goal_y / CELL_M - origin[1]
             box = (*_around(x, to_x, margin), *_around(y, to_y, margin))
@@ -200,6 +212,7 @@ class LocalMap:
         self._margin = margin
         self._bearings, self._mount = np.ascontiguousarray(bearings), np.ascontiguousarray(mount)
         self._evidence = np.zeros((num_rows, CELLS, CELLS), np.float32)
+        self._low = np.zeros((num_rows, CELLS, CELLS), bool)
         self.ways = np.zeros((num_rows, CELLS, CELLS), np.float32)
         self.origins = np.full((num_rows, 2), -(CELLS // 2), np.int64)
         self._planned = np.full((num_rows, 2), np.nan)
@@ -208,6 +221,7 @@ class LocalMap:
     def forget(self, mask: Flags) -> None:
         """Empty the maps of the rows in `mask` (N,), whose odometry begins anew."""
         self._evidence[mask] = 0.0
+        self._low[mask] = False
         self.origins[mask] = -(CELLS // 2)
         self._planned[mask] = np.nan
         self._ages[mask] = 0
@@ -230,5 +244,5 @@ class LocalMap:
         nothing = np.zeros((len(poses), 0, 0), bool), np.zeros((len(poses), 0, 0, 2), np.int32), CELL_M
         update_maps(
             poses, self._mount, self._bearings, ranges, sees, moves, goals, self.origins, self._evidence,
-            self.ways, self._planned, self._ages, self._margin, *(nothing if low is None else low),
+            self._low, self.ways, self._planned, self._ages, self._margin, *(nothing if low is None else low),
         )  # fmt: skip
