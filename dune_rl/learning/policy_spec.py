@@ -222,9 +222,8 @@ class PolicySpec:
         """Raise PolicyMismatchError unless a policy of this spec, read from `source`, fits `here`."""
         keys = sorted({*self.keys, *here.keys})
         extents = [(key, self._extent(key), here._extent(key)) for key in keys]
-        faults = [
-            f"{key} has {there} there, {now} here" for key, there, now in extents if there and now and there != now
-        ]
+        both = [each for each in extents if each[1] and each[2]]
+        faults = [f"{key} has {there} there, {now} here" for key, there, now in both if there != now]
         if alone := [f"{key} ({there})" for key, there, now in extents if now is None]:
             faults.append(f"there alone are {', '.join(alone)}")
         if alone := [f"{key} ({now})" for key, there, now in extents if there is None]:

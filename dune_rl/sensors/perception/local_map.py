@@ -14,7 +14,7 @@ _ROOM = 32
 # Returns from farther are not entered, since a segment is wide there.
 _FARTHEST_M = 5.0
 # Evidence of an obstacle in a cell: by a return, by a beam that passes, at most, and from where on it is one.
-_HIT, _PASS, _MOST, _OCCUPIED = 2.0, 0.4, 60.0, 3.0
+_HIT, _PASS, _MOST, _OCCUPIED = 2.0, 0.4, 20.0, 3.0
 # That of what the body has met, which no beam takes back.
 _MET = 100.0
 # A metre costs 1 and more beside obstacles: within 1.5 cells and within 2.5.
@@ -28,7 +28,7 @@ _FAR = 1e6
 
 @compile_function
 def _recentre(pose: Any, origin: Any, evidence: Any, low: Any) -> bool:
-    """Move a map's layers (CELLS, CELLS) along if the body is far from its middle; whether they have moved."""
+    """Move a map's layers (CELLS, CELLS) along if the body is far from their middle; whether they moved."""
     column = np.int64(np.floor(pose[0] / CELL_M)) - CELLS // 2
     row = np.int64(np.floor(pose[1] / CELL_M)) - CELLS // 2
     right, up = column - origin[0], row - origin[1]
