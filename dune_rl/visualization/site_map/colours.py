@@ -20,6 +20,7 @@ PATHS = ("#0072b2", "#c2367f", "#007f5f", "#5b3fa3", "#c2452d", "#0096c7")
 ENDINGS = {
     "goal reached": ("#0067b1", "o"),
     "goal reached, after a collision": ("#3fb0e8", "D"),
+    "collision": ("#c01030", "*"),
     "stuck": ("#d1570a", "X"),
     "turned over": ("#b8317c", "^"),
     "left the world": ("#111111", "s"),
