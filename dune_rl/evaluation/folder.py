@@ -175,12 +175,17 @@ def _is_temporary(name: str) -> bool:
 
 
 def changed_files(path: Path, provenance: Mapping[str, Any]) -> list[str]:
-    """The files in `path` that are not as the evaluation wrote them, by their checksums."""
+    """The files in `path` that are not as the evaluation wrote them, by their checksums.
+
+    Files that are absent are left out: results may be kept without what follows from their rows.
+    """
     changed = []
     for name, sha256 in provenance.get("files", {}).items():
         # A name with a folder is of no file that the evaluation wrote.
         try:
             same = Path(name).name == name and sha256_of(path / name) == sha256
+        except FileNotFoundError:
+            same = True
         except OSError:
             same = False
         changed += [] if same else [name]
