@@ -25,6 +25,8 @@ PART = "episodes.part.jsonl"
 _TABLES = tuple(f"{stem}{suffix}" for stem in (EPISODES, STEPS) for suffix in (".csv", ".parquet"))
 _FILES = (CONFIG, PROVENANCE, COLUMNS, PART, *_TABLES)
 _FILES += tuple(f"{stem}.csv" for stem in (COMPARISON, SUMMARY, RUNS, ATTEMPTS))
+# Tables that follow from the rows of others.
+_FOLLOWING = (COLUMNS, f"{EPISODES}.parquet", f"{STEPS}.parquet", f"{COMPARISON}.csv", f"{SUMMARY}.csv")
 
 
 class ResultsFolder:
@@ -177,17 +179,15 @@ def _is_temporary(name: str) -> bool:
 def changed_files(path: Path, provenance: Mapping[str, Any]) -> list[str]:
     """The files in `path` that are not as the evaluation wrote them, by their checksums.
 
-    Files that are absent are left out: results may be kept without what follows from their rows.
+    Absent files that follow from the rows are left out: results may be kept without them.
     """
     changed = []
     for name, sha256 in provenance.get("files", {}).items():
         # A name with a folder is of no file that the evaluation wrote.
         try:
             same = Path(name).name == name and sha256_of(path / name) == sha256
-        except FileNotFoundError:
-            same = True
         except OSError:
-            same = False
+            same = name in _FOLLOWING and not (path / name).exists()
         changed += [] if same else [name]
     return changed
 

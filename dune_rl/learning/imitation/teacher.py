@@ -23,10 +23,10 @@ _DEVIATION_COST = 8.0
 class TeacherLabels(Transform):
     """Transform that adds (`next`, `group`, "teacher_costs"), (M, G, C): costs of C actions before a step.
 
-    `commands` (C, A) are the actions. Costs are those of the driver `teacher`, plus `change_cost` times how
-    much a command differs from the last action, and `standing_cost` for commands of no speed, above the best
-    one's, at most `max_cost`. Of a driver without
-    costs they are the squared distance from its action, in shares of the bounds. In a `share` of the episodes
+    `commands` (C, A) are the actions. Costs are those of the driver `teacher`; of a driver without costs, the
+    squared distance from its action, in shares of the bounds. Added are `change_cost` times how much a
+    command differs from the last action, and `standing_cost` for commands of no speed, turns on the spot
+    included. Labels are the costs above the least one, at most `max_cost`. In a `share` of the episodes
     the teacher drives, in the others the policy, whose actions the teacher is told. In a `noise_share` of the
     policy's episodes, and twice that of the teacher's, there are bursts of random actions, from which both
     must find back.
@@ -62,15 +62,13 @@ class TeacherLabels(Transform):
         begins = self._simulation.state.groups[self._name].episode.steps == 0
         self._begin(begins)
         own = tensordict.get((self._name, "action")).numpy().reshape(len(begins), -1)
-        if driver.has_costs:
-            costs = driver.costs(self._commands, self._max_cost)
-            if self._change_cost > 0.0 or self._standing_costs.any():
-                costs += self._change_cost * self._changes() + self._standing_costs
-                costs = np.minimum(costs - costs.min(axis=1, keepdims=True), self._max_cost)
+        best = None if driver.has_costs else driver.act()
+        costs = driver.costs(self._commands, self._max_cost) if best is None else self._deviations(best)
+        if self._change_cost > 0.0 or self._standing_costs.any():
+            costs = costs + self._change_cost * self._changes() + self._standing_costs
+            costs = np.minimum(costs - costs.min(axis=1, keepdims=True), self._max_cost)
+        if best is None:
             best = self._commands[costs.argmin(axis=1)]
-        else:
-            best = driver.act()
-            costs = self._deviations(best)
         self._costs = costs.astype(np.float32).reshape(shape)
         actions = np.where(self._teaches[:, None], best, own)
         actions = self._disturb(actions).astype(np.float32)

@@ -21,6 +21,8 @@ _MET = 100.0
 _AT_COST, _BESIDE_COST = 20.0, 2.0
 # As much at and beside low obstacles, some of which are none.
 _AT_LOW_COST, _BESIDE_LOW_COST = 6.0, 1.0
+# Low obstacles this near to the body are no longer there if they are not seen again [m].
+_CLEARED_M = 3.0
 _REPLAN_STEPS = 10
 _MOST_ROUNDS = 8
 _FAR = 1e6
@@ -83,15 +85,21 @@ def _raise_around(row: Any, column: Any, at: float, beside: float, costs: Any) -
 
 
 @compile_function
-def _enter_low(steps: Any, places: Any, cell_m: float, origin: Any, low: Any) -> None:
-    """Enter a map of low obstacles, as in `update_maps`, into the layer `low` (CELLS, CELLS)."""
+def _enter_low(pose: Any, steps: Any, places: Any, cell_m: float, origin: Any, low: Any) -> None:
+    """Enter a map of low obstacles, as in `update_maps`, into the layer `low` (CELLS, CELLS).
+
+    Cells near the body without one are cleared first; farther ones may be covered by the map in part.
+    """
     for is_step in (False, True):
         for y in range(len(steps)):
             for x in range(len(steps)):
                 if steps[y, x] != is_step:
                     continue
-                column = np.int64(np.floor((places[y, x, 0] + 0.5) * cell_m / CELL_M)) - origin[0]
-                row = np.int64(np.floor((places[y, x, 1] + 0.5) * cell_m / CELL_M)) - origin[1]
+                at_x, at_y = (places[y, x, 0] + 0.5) * cell_m, (places[y, x, 1] + 0.5) * cell_m
+                if not is_step and max(abs(at_x - pose[0]), abs(at_y - pose[1])) > _CLEARED_M:
+                    continue
+                column = np.int64(np.floor(at_x / CELL_M)) - origin[0]
+                row = np.int64(np.floor(at_y / CELL_M)) - origin[1]
                 if 0 <= row < CELLS and 0 <= column < CELLS:
                     low[row, column] = is_step
 
@@ -177,7 +185,7 @@ def update_maps(
         apart = np.hypot(goal_x - planned[row, 0], goal_y - planned[row, 1])
         ages[row] += 1
         if moved or not apart < 0.5 or ages[row] >= _REPLAN_STEPS:
-            _enter_low(steps[row], places[row], cell_m, origin, low[row])
+            _enter_low(pose, steps[row], places[row], cell_m, origin, low[row])
             _costs_of_cells(evidence[row], low[row], costs)
             x, y = pose[0] / CELL_M - origin[0], pose[1] / CELL_M - origin[1]
             to_x, to_y = goal_x / CELL_M - origin[0], goal_y / CELL_M - origin[1]
@@ -203,8 +211,9 @@ def way_left(ways: Any, origin: Any, x: float, y: float) -> float:
 class LocalMap:
     """Maps (N, cells, cells) of 32 by 32 m that move along with N bodies, in the frames of their odometry.
 
-    A cell is an obstacle after two returns. Beams that pass through a cell clear it. Returns from moving
-    objects are ignored. `ways` are the costs to the goals, found up to `margin` cells from the body and its
+    A cell is an obstacle after two returns. Beams that pass through a cell clear it, the sooner the fewer
+    returns it had; not where the body has met something (`block`). Low obstacles, which no scan sees, are a
+    layer of their own. Returns from moving objects are ignored. `ways` are the costs to the goals, found up to `margin` cells from the body and its
     goal; `origins` (N, 2) are the numbers of the maps' first columns and rows.
     """
 
