@@ -42,7 +42,9 @@ class ImitationConf(ReplayingConf):
         description="for each m/s and rad that a command differs from the last one, in metres",
     )
     standing_cost: float = Field(
-        0.0, ge=0, description="for a command of no speed, also a turn on the spot, in metres: against needless halts"
+        0.0,
+        ge=0,
+        description="for a command of no speed, also a turn on the spot, in metres: against needless halts",
     )
     temperature: float = Field(0.1, gt=0, description="of the costs, where they make probabilities")
 

@@ -213,8 +213,9 @@ class LocalMap:
 
     A cell is an obstacle after two returns. Beams that pass through a cell clear it, the sooner the fewer
     returns it had; not where the body has met something (`block`). Low obstacles, which no scan sees, are a
-    layer of their own. Returns from moving objects are ignored. `ways` are the costs to the goals, found up to `margin` cells from the body and its
-    goal; `origins` (N, 2) are the numbers of the maps' first columns and rows.
+    layer of their own. Returns from moving objects are ignored. `ways` are the costs to the goals, found up
+    to `margin` cells from the body and its goal; `origins` (N, 2) are the numbers of the maps' first columns
+    and rows.
     """
 
     def __init__(self, num_rows: int, bearings: Array, mount: Array, margin: int = CELLS) -> None:
