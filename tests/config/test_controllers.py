@@ -92,7 +92,7 @@ def test_policies_that_are_not_there_are_named_at_once(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_policy_of_another_body_is_refused() -> None:
-    with pytest.raises(CheckpointError, match=r"for another environment: .*lidar has 32 values") as error:
+    with pytest.raises(CheckpointError, match=r"for another environment: .*lidar \(32 values\)") as error:
         simulation_of({"checkpoint": str(POLICY)}, sensors=["goal"])
     first, last = str(error.value).splitlines()
     assert first.startswith(f"agents.other.controller.checkpoint: {POLICY} was made for another environment")
