@@ -165,8 +165,7 @@ def test_every_command_of_the_package_is_shown() -> None:
     SNIPPETS,
     ids=[f"{page_name(page)}-{number}" for number, (page, _) in enumerate(SNIPPETS)],
 )
-def test_snippets_run(page: Path, snippet: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_named_files(folder)
+def test_snippets_run(page: Path, snippet: str, packages: Path, capsys: pytest.CaptureFixture[str]) -> None:
     # Python may have listed this folder in the same instant, before the files were there.
     importlib.invalidate_caches()
     exec(compile(snippet, page_name(page), "exec"), {"__name__": "__main__"})
