@@ -225,9 +225,9 @@ class PolicySpec:
         both = [each for each in extents if each[1] and each[2]]
         faults = [f"{key} has {there} there, {now} here" for key, there, now in both if there != now]
         if alone := [f"{key} ({there})" for key, there, now in extents if now is None]:
-            faults.append(f"there alone are {', '.join(alone)}")
+            faults.append(f"only the policy has {', '.join(alone)}")
         if alone := [f"{key} ({now})" for key, there, now in extents if there is None]:
-            faults.append(f"here alone are {', '.join(alone)}")
+            faults.append(f"only this environment has {', '.join(alone)}")
         theirs, ours = (
             ", ".join(f"[{low:g}, {high:g}]" for low, high in zip(each.low, each.high, strict=True))
             for each in (self, here)

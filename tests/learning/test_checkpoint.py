@@ -158,8 +158,8 @@ def test_missing_parts_and_other_bounds_are_named() -> None:
     with pytest.raises(CheckpointError) as caught:
         SPEC.require(here, "policy.pt")
     message = str(caught.value)
-    assert "there alone are imu (9 values)" in message
-    assert "here alone are camera (9 values)" in message
+    assert "only the policy has imu (9 values)" in message
+    assert "only this environment has camera (9 values)" in message
     assert "actions lie in [-0.8, 0.8], [-3.14159, 3.14159] there, in [-1, 1], [-1, 1] here" in message
 
 
