@@ -14,7 +14,7 @@ from dune_rl.bodies.registry import BODIES
 from dune_rl.config.shorthands import SHORTHANDS
 from dune_rl.core.errors import ConfigError, DuneError
 from dune_rl.core.registry import Registry
-from dune_rl.core.suggestions import closest
+from dune_rl.core.suggestions import closest, one_of
 from dune_rl.env.curriculum import CURRICULA
 from dune_rl.learning.networks.registry import ENCODERS
 from dune_rl.learning.registry import ALGORITHMS
@@ -107,8 +107,29 @@ def unknown_setting(path: Sequence[str | int], model: type[BaseModel], data: Map
     match = closest(str(path[-1]), elsewhere, 0.8)
     if match:
         return f"{name} is not a setting; did you mean {elsewhere[match]}?"
+    registry = _registry_of(section) if section else None
+    if section and registry and (others := _parts_with(str(path[-1]), registry)):
+        own = section.model_fields[registry.tag].default
+        return f"{name} is not a setting of {own}, but of {one_of(others)}"
     place = _dotted(path[:-1]) or "the top level"
     return f"{name} is not a setting; {place} has {', '.join(siblings)}"
+
+
+def _parts_with(setting: str, registry: Registry[Any]) -> list[str]:
+    """The names of the parts that have the setting."""
+    found = []
+    for name in registry.names():
+        # A broken package is reported where it is used.
+        with suppress(DuneError):
+            part = registry.settings_class(name)
+            if part is not None and setting in part.model_fields:
+                found.append(name)
+    return found
+
+
+def _registry_of(section: type[BaseModel]) -> Registry[Any] | None:
+    """The registry of the part whose settings `section` are."""
+    return next((each for base, each in _REGISTRIES.items() if issubclass(section, base)), None)
 
 
 def _path_in(data: Any, detail: ErrorDetails) -> tuple[str | int, ...]:

@@ -59,8 +59,6 @@ class Algorithm(ABC):
     architecture = Architecture((256, 256))
     # False: the group acts by its policy, and nothing is learned.
     learns = True
-    # False: no critic teaches the policy.
-    has_critics = True
     # Other algorithms whose policies have the same networks, and can be started from.
     starts_from: tuple[str, ...] = ()
 
@@ -131,6 +129,10 @@ class Algorithm(ABC):
     def start_from(self, saved: Mapping[str, Any]) -> None:
         """Begin with the weights of an earlier run's learner: its `state_dict`, or its policy's alone."""
         self.policy.network.load_state_dict(saved["policy"])
+
+    def has_critics_from(self, entry: Mapping[str, Any]) -> bool:
+        """Whether all critics that teach the policy begin with what a file's `entry` for the group has."""
+        return "learner" in entry
 
     def save_experience(self, path: Path) -> dict[str, Any] | None:
         """Write collected data that is too large for the checkpoint to a file: `path` with a suffix.

@@ -123,7 +123,7 @@ def start_learners(learners: Mapping[str, Algorithm], conf: LearningConf) -> Non
             raise GroupMismatchError(f"{setting}: {error}", group, location) from None
         except CheckpointError as error:
             raise CheckpointError(f"{setting}: {error}") from None
-        if "learner" not in entry and learner.has_critics:
+        if not learner.has_critics_from(entry):
             note = f"{setting}: {source} has a policy alone; its critics, which teach it, begin anew"
             warnings.warn(note, DuneWarning, stacklevel=2)
         try:

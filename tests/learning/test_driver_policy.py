@@ -38,7 +38,9 @@ def test_joints_are_refused(name: str) -> None:
 
 def test_mppi_without_a_lidar_is_refused_and_the_planner_needs_none() -> None:
     env = make_learning_env(compose_environment("flat", ["sensors=[goal]"]), 1, 0)
-    with pytest.raises(ConfigError, match=r"has no lidar and no velocity; add to its sensors"):
+    with pytest.raises(
+        ConfigError, match=r"has no lidar and no velocity; add to its sensors what sensors=default has"
+    ):
         built_in_policy("mppi", env)
     built_in_policy("planner", env)
     env.close()

@@ -54,7 +54,7 @@ class DriverContext:
             needed = f"{', '.join(names[:-1])} and {names[-1]}"
             raise ConfigError(
                 f"{who} cannot act for the group {self.group}: it needs the sensors {needed}, and has no "
-                f"{' and no '.join(missing) or 'lidar'}; add to its sensors"
+                f"{' and no '.join(missing) or 'lidar'}; add to its sensors what sensors=default has"
             )
         return self.lidar
 

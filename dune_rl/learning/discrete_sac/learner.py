@@ -25,6 +25,8 @@ from dune_rl.learning.sac.gradient_step import GradientStep, MakeBatch
 from dune_rl.learning.sac.learner import MaximumEntropyLearner
 
 _ENTROPY_SHARE = 0.25
+# Of their random weights that critics keep which begin by an imitated policy's costs.
+_RANDOM_SHARE = 0.1
 
 
 class DiscreteSacStep(GradientStep):
@@ -74,6 +76,32 @@ class DiscreteSacStep(GradientStep):
     @property
     def _trains_actor(self) -> bool:
         return self._taken > self._conf.critic_updates
+
+    @torch.no_grad()
+    def begin_by_costs(self, head: CommandHead) -> None:
+        """Make the negative costs of an imitated `head` the critics' values, and its logits by these.
+
+        The logits are those of the best policy by such values at the present entropy coefficient. The critics
+        keep a share of their random weights, without which the two would stay equal.
+        """
+        layers = [layer for layer in head.body if isinstance(layer, nn.Linear)]
+        of_costs = [(layer.weight, layer.bias) for layer in layers[:-1]]
+        _, weight = layers[-1].weight.chunk(2)
+        _, bias = layers[-1].bias.chunk(2)
+        scale = -self._conf.reward_scale
+        of_costs.append((scale * weight, scale * bias))
+        critics = self.loss.qvalue_network_params["module", "body"]
+        targets = self.loss.target_qvalue_network_params["module", "body"]
+        for name, (weight, bias) in zip(sorted(critics.keys(), key=int), of_costs, strict=True):
+            critic, target = critics[name], targets[name]
+            critic["weight"].data.mul_(_RANDOM_SHARE)[..., : weight.shape[1]].add_(weight)
+            critic["bias"].data.mul_(_RANDOM_SHARE).add_(bias)
+            target["weight"].data.copy_(critic["weight"].data)
+            target["bias"].data.copy_(critic["bias"].data)
+        weight, bias = of_costs[-1]
+        coefficient = self._conf.initial_entropy_coefficient
+        layers[-1].weight[: len(weight)] = weight / coefficient
+        layers[-1].bias[: len(bias)] = bias / coefficient
 
     def _evaluate_critics(self, batch: TensorDict) -> Tensor:
         values = self.loss._vmap_qnetworkN0(batch.clone(recurse=False), self.loss.qvalue_network_params)
@@ -134,6 +162,19 @@ class DiscreteSac(MaximumEntropyLearner):
 
     def __init__(self, context: LearnerContext, conf: DiscreteSacConf) -> None:
         super().__init__(context, conf)
+
+    def start_from(self, saved: Mapping[str, Any]) -> None:
+        """Begin with the policy, and with its critics, or by the costs of an imitated policy."""
+        super().start_from(saved)
+        if self._is_imitated(saved):
+            self._step.begin_by_costs(self.policy.network[1].module)
+
+    def has_critics_from(self, entry: Mapping[str, Any]) -> bool:
+        return super().has_critics_from(entry) or self._is_imitated(entry)
+
+    def _is_imitated(self, saved: Mapping[str, Any]) -> bool:
+        # A policy's entry tells its algorithm; the state of a learner does not.
+        return "loss" not in saved and saved.get("algorithm", "imitation") in self.starts_from
 
     def network_settings(self) -> dict[str, Any]:
         return {**super().network_settings(), "commands": self._conf.commands.model_dump()}

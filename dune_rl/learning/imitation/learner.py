@@ -38,8 +38,6 @@ class Imitation(Algorithm):
     and for an action that is no speed and heading.
     """
 
-    has_critics = False
-
     def __init__(self, context: LearnerContext, conf: ImitationConf) -> None:
         self._conf = conf
         self.architecture = Architecture.of(conf)
@@ -93,6 +91,10 @@ class Imitation(Algorithm):
             conf.noise_share,
         )
         return partial(_with_labels, make_env, labels)
+
+    def has_critics_from(self, entry: Mapping[str, Any]) -> bool:
+        """True: it needs none."""
+        return True
 
     @property
     def warmup_frames(self) -> int:
