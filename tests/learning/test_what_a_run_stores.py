@@ -44,9 +44,9 @@ def test_automatic_precision_is_stored_as_what_was_used(has_fast_bfloat16: bool,
 
 
 @pytest.mark.parametrize(
-    ("instructions", "fast"), [(["avx512_bf16"], False), (["avx512_bf16", "amx_bf16"], True)]
+    ("instructions", "fast"), [(["avx512_f"], False), (["avx512_bf16"], True), (["amx_bf16"], True)]
 )
-def test_processors_without_matrix_tiles_are_not_fast_at_bfloat16(
+def test_processors_with_instructions_for_it_are_fast_at_bfloat16(
     instructions: list[str], fast: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: dict.fromkeys(instructions, True))
