@@ -85,7 +85,7 @@ class DiscreteSacStep(GradientStep):
         keep a share of their random weights, without which the two would stay equal.
         """
         layers = [layer for layer in head.body if isinstance(layer, nn.Linear)]
-        of_costs = [(layer.weight, layer.bias) for layer in layers[:-1]]
+        of_costs: list[tuple[Tensor, Tensor]] = [(layer.weight, layer.bias) for layer in layers[:-1]]
         _, weight = layers[-1].weight.chunk(2)
         _, bias = layers[-1].bias.chunk(2)
         scale = -self._conf.reward_scale
@@ -167,6 +167,7 @@ class DiscreteSac(MaximumEntropyLearner):
         """Begin with the policy, and with its critics, or by the costs of an imitated policy."""
         super().start_from(saved)
         if self._is_imitated(saved):
+            assert isinstance(self._step, DiscreteSacStep)
             self._step.begin_by_costs(self.policy.network[1].module)
 
     def has_critics_from(self, entry: Mapping[str, Any]) -> bool:
