@@ -103,14 +103,15 @@ def unknown_setting(path: Sequence[str | int], model: type[BaseModel], data: Map
     # The first one of the shortest.
     paths = sorted(reversed(_all_paths(model, data)), key=lambda other: -other.count("."))
     elsewhere = {other.rpartition(".")[2]: other for other in paths}
+    registry = _registry_of(section) if section else None
+    known = str(path[-1]) in elsewhere
+    if section and registry and not known and (others := _parts_with(str(path[-1]), registry)):
+        own = section.model_fields[registry.tag].default
+        return f"{name} is not a setting of {own}, but of {one_of(others)}"
     # There are many of them, so that some are always a little alike.
     match = closest(str(path[-1]), elsewhere, 0.8)
     if match:
         return f"{name} is not a setting; did you mean {elsewhere[match]}?"
-    registry = _registry_of(section) if section else None
-    if section and registry and (others := _parts_with(str(path[-1]), registry)):
-        own = section.model_fields[registry.tag].default
-        return f"{name} is not a setting of {own}, but of {one_of(others)}"
     place = _dotted(path[:-1]) or "the top level"
     return f"{name} is not a setting; {place} has {', '.join(siblings)}"
 

@@ -130,9 +130,9 @@ class Algorithm(ABC):
         """Begin with the weights of an earlier run's learner: its `state_dict`, or its policy's alone."""
         self.policy.network.load_state_dict(saved["policy"])
 
-    def has_critics_from(self, entry: Mapping[str, Any]) -> bool:
-        """Whether all critics that teach the policy begin with what a file's `entry` for the group has."""
-        return "learner" in entry
+    def has_new_critics(self, entry: Mapping[str, Any]) -> bool:
+        """Whether critics begin with random weights in a run that starts from a file's `entry`."""
+        return "learner" not in entry
 
     def save_experience(self, path: Path) -> dict[str, Any] | None:
         """Write collected data that is too large for the checkpoint to a file: `path` with a suffix.

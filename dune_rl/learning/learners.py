@@ -103,8 +103,8 @@ class FrozenPolicy(Algorithm):
 def start_learners(learners: Mapping[str, Algorithm], conf: LearningConf) -> None:
     """Load the weights that `start_from` names into each learner that has it set in `conf`.
 
-    Of a run's folder the last checkpoint is read, or where it has none, its policy, of which a warning
-    tells that the critics are new. Raises CheckpointError, which names the setting, where the file cannot be
+    Of a run's folder the last checkpoint is read, or where it has none, its policy; a warning tells where
+    critics are new. Raises CheckpointError, which names the setting, where the file cannot be
     read, has nothing for the group, or networks of another shape; GroupMismatchError where its policy is for
     other observations or actions.
     """
@@ -123,7 +123,7 @@ def start_learners(learners: Mapping[str, Algorithm], conf: LearningConf) -> Non
             raise GroupMismatchError(f"{setting}: {error}", group, location) from None
         except CheckpointError as error:
             raise CheckpointError(f"{setting}: {error}") from None
-        if not learner.has_critics_from(entry):
+        if learner.has_new_critics(entry):
             note = f"{setting}: {source} has a policy alone; its critics, which teach it, begin anew"
             warnings.warn(note, DuneWarning, stacklevel=2)
         try:

@@ -128,7 +128,7 @@ def test_the_cost_of_actors_is_that_of_its_run() -> None:
 def test_the_table_of_failures_is_that_of_its_files() -> None:
     folder = EXPERIMENTS / "policies"
     text = (folder / "README.md").read_text()
-    columns = ["collisions_person", "collisions_static", "stuck", "timeout", "out_of_world"]
+    columns = ["collisions_person", "collisions_static", "stuck", "timeout", "flipped", "out_of_world"]
     table = text[text.index("| set | failed |") :].split("\n\n")[0].splitlines()[2:]
     assert len(table) == 12
     for line in table:
@@ -137,6 +137,7 @@ def test_the_table_of_failures_is_that_of_its_files() -> None:
             failed = [row for row in csv.DictReader(file) if not float(row["success"])]
         counts = [sum(float(row[column]) > 0 for row in failed) for column in columns]
         assert [int(cell) for cell in shown] == [len(failed), *counts]
+        assert all(any(float(row[column]) > 0 for column in columns) for row in failed)
 
 
 def test_without_a_set_a_policy_is_evaluated_in_the_worlds_that_its_run_kept_for_that() -> None:

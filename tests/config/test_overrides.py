@@ -73,6 +73,8 @@ def test_the_plus_makes_no_difference(world: str, actors: str, seed: str) -> Non
          "learning.collector.scenes must be at most 8192 (got 1000000)"),
         (["world=flat", "learning.standing_cost=1"],
          "learning.standing_cost is not a setting of sac, but of imitation"),
+        (["world=flat", "learning=ppo", "learning.n_steps=1"],
+         "learning.n_steps is not a setting of ppo, but of crossq, discrete_sac or sac"),
         (["world=flat", "batch_size=64"], "batch_size is not a setting; did you mean learning.batch_size?"),
         (["world=flat", "max_steps=64"],
          "max_steps is not a setting; did you mean task.terminations.time_limit.max_steps?"),

@@ -102,8 +102,8 @@ def test_it_starts_from_an_imitated_policy_and_from_no_other(tmp_path: Path) -> 
     check = partial(require_same_networks, found, source=tmp_path, conf=SMALL_DISCRETE, group="rover")
     check(entry, remedy="", relatives=found.starts_from)
     found.start_from({"policy": imitated.state_dict()})
-    assert found.has_critics_from(entry)
-    assert not found.has_critics_from({**entry, "algorithm": "discrete_sac"})
+    assert not found.has_new_critics(entry)
+    assert found.has_new_critics({**entry, "algorithm": "discrete_sac"})
     with pytest.raises(CheckpointError, match=r"was trained with ppo\. Set learning=ppo"):
         check({**entry, "algorithm": "ppo"}, remedy="Set {}", relatives=found.starts_from)
     finer = {**entry["network"], "commands": GRID.model_copy(update={"headings": 5}).model_dump()}
@@ -116,7 +116,7 @@ def test_it_starts_from_an_imitated_policy_and_from_no_other(tmp_path: Path) -> 
 
 def test_it_begins_with_the_command_and_the_values_of_the_imitated_costs(tmp_path: Path) -> None:
     torch.manual_seed(0)
-    found = learner(tmp_path, initial_entropy_coefficient=0.05, reward_scale=2.0)
+    found = learner(tmp_path, initial_entropy_coefficient=0.05, reward_scale=2.0, hidden=(16, 16))
     imitated = make_command_network(SPEC, found.network_settings())
     found.start_from({"policy": imitated.state_dict(), "algorithm": "imitation"})
     steps = _one_step_episodes(SPEC, terminated=True)
@@ -127,7 +127,7 @@ def test_it_begins_with_the_command_and_the_values_of_the_imitated_costs(tmp_pat
     batch = found._step._separate(found._codec.decode(rows, found._critic_features.encode, 1.0))
     for parameters in (found._step.loss.qvalue_network_params, found._step.loss.target_qvalue_network_params):
         values = found._step.loss._vmap_qnetworkN0(batch.clone(), parameters)["action_value"]
-        assert torch.allclose(values, -2.0 * costs.reshape(values[0].shape), atol=0.4)
+        assert torch.allclose(values, -2.0 * costs.reshape(values[0].shape), atol=0.15)
         assert not torch.allclose(values[0], values[1])
     # The policy's own weights without critics are taken as they are.
     own = found.policy.network.state_dict()

@@ -81,7 +81,7 @@ class DiscreteSacStep(GradientStep):
     def begin_by_costs(self, head: CommandHead) -> None:
         """Make the negative costs of an imitated `head` the critics' values, and its logits by these.
 
-        The logits are those of the best policy by such values at the present entropy coefficient. The critics
+        The logits are those of the best policy by such values at the initial entropy coefficient. The critics
         keep a share of their random weights, without which the two would stay equal.
         """
         layers = [layer for layer in head.body if isinstance(layer, nn.Linear)]
@@ -170,8 +170,8 @@ class DiscreteSac(MaximumEntropyLearner):
             assert isinstance(self._step, DiscreteSacStep)
             self._step.begin_by_costs(self.policy.network[1].module)
 
-    def has_critics_from(self, entry: Mapping[str, Any]) -> bool:
-        return super().has_critics_from(entry) or self._is_imitated(entry)
+    def has_new_critics(self, entry: Mapping[str, Any]) -> bool:
+        return super().has_new_critics(entry) and not self._is_imitated(entry)
 
     def _is_imitated(self, saved: Mapping[str, Any]) -> bool:
         # A policy's entry tells its algorithm; the state of a learner does not.

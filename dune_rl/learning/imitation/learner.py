@@ -92,9 +92,9 @@ class Imitation(Algorithm):
         )
         return partial(_with_labels, make_env, labels)
 
-    def has_critics_from(self, entry: Mapping[str, Any]) -> bool:
-        """True: it needs none."""
-        return True
+    def has_new_critics(self, entry: Mapping[str, Any]) -> bool:
+        """False: there are none."""
+        return False
 
     @property
     def warmup_frames(self) -> int:
