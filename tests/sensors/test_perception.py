@@ -73,7 +73,8 @@ def test_ways_lead_round_what_was_seen() -> None:
     first = readings(simulation)["way_left"].reshape(3, 16)
     assert first[2, ahead] == pytest.approx(-2.4, abs=0.1)
     assert first[0, ahead] == first[0].min()
-    for _ in range(10):
+    # Two scans make an obstacle, and ways are found every ten steps.
+    for _ in range(12):
         simulation.step({"rover": np.zeros((1, 1, 2))})
     ways = readings(simulation)["way_left"].reshape(3, 16)
     # Straight on is the wall; the way leads round one of its ends.
@@ -275,7 +276,7 @@ def test_what_was_seen_for_long_outlasts_beams_that_pass_beside_it() -> None:
 def test_low_obstacles_out_of_sight_stay_on_the_map() -> None:
     map_ = LocalMap(1, np.zeros(1), np.zeros(2))
     # Two cells of 0.1 m in one of the map's; the first has a step.
-    places = np.array([[[[20, 0], [21, 0]]]], np.int32)
+    places = np.array([[[[22, 0], [23, 0]]]], np.int32)
     seen = np.array([[[True, False]]]), places, 0.1
     nothing = ways_past(map_, 10.0, 20)
     assert ways_past(map_, 10.0, 20, seen) > nothing + 0.1

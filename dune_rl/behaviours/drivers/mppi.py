@@ -39,10 +39,10 @@ class Mppi(BoundBehaviour):
 
     It knows the readings `goal`, `lidar` and `velocity` of its group, with their faults if they have any, and
     the vehicle's own size, limits and LiDAR mount. It knows no map and no slopes: it remembers the returns of
-    the last 32 by 32 m (`LocalMap`), in the frame of the odometry that `velocity` gives, and finds its way to
-    the goal there. Small objects that move from scan to scan have tracks (`ScanTracker`), and go on with
-    their velocity within the horizon. Rising ground in the scan is an obstacle to it, and what lies below the
-    scan's plane it does not see before it meets it.
+    the last 32 by 32 m (`LocalMap`), in the frame of the odometry that `velocity` and `goal` give, and finds
+    its way to the goal there. Small objects that move from scan to scan have tracks (`ScanTracker`), and go
+    on with their velocity within the horizon. Rising ground in the scan is an obstacle to it, and what lies
+    below the scan's plane it does not see before it meets it.
 
     Williams et al., "Information theoretic MPC for model-based reinforcement learning" (2017). `samples` and
     `horizon_s` set its effort; `temperature` is the lambda of the weights; `margin_m` is the distance at
@@ -147,7 +147,7 @@ class Mppi(BoundBehaviour):
         reach = vehicle.max_speed_mps * self._horizon * _STEP_S + vehicle.footprint_radius_m + self._margin_m
         sees = ranges < lidar.range_m - 1e-3
         tracker = self._tracker
-        tracker.update(ranges, sees, twists, step_s)
+        tracker.update(ranges, sees, twists, goals, step_s)
         movers = np.concatenate([tracker.moving, np.full((*tracker.moving.shape[:2], 1), _MOVER_M)], axis=-1)
         points = (ranges[:, :, None, None] * self._directions + self._mount).reshape(self._num_rows, -1, 2)
         moves: Flags = np.abs(tracker.velocities).max(axis=2) > 0.0

@@ -44,6 +44,7 @@ class Shield(BoundBehaviour):
         self._directions = np.stack([np.cos(bearings), np.sin(bearings)], axis=-1)
         self._mount = mount_position(lidar.mount_b)[:2]
         self._tracker = ScanTracker(self._num_rows, middle, self._mount)
+        self._no_goals = np.full((self._num_rows, 2), np.nan)
         self._range_m = lidar.range_m - _NO_RETURN_M
         self._model = np.array(
             [
@@ -72,7 +73,7 @@ class Shield(BoundBehaviour):
         twists = np.ascontiguousarray(readings["velocity"][:, :2], np.float64)
         sees = ranges < self._range_m
         tracker = self._tracker
-        tracker.update(ranges, sees, twists, step_s)
+        tracker.update(ranges, sees, twists, self._no_goals, step_s)
         moves = np.abs(tracker.velocities).max(axis=2) > 0.0
         near = np.repeat(sees & ~moves & (ranges < self._reach_m), _POINTS_PER_SEGMENT, axis=1)
         points = (ranges[:, :, None, None] * self._directions + self._mount).reshape(self._num_rows, -1, 2)

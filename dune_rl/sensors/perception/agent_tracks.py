@@ -28,7 +28,8 @@ _NO_RETURN_M = 1e-3
 class AgentTracksConf(SensorSettings):
     """Tracks of what moves in a LiDAR's scans, each with a Kalman filter.
 
-    Walkers are found by the scans, the robot's own speed and the change of its inertial unit's heading alone.
+    Walkers are found by the scans and by odometry alone: the robot's speed, the change of its inertial unit's
+    heading, and where the goal is by its reading, since a body that slips sideways feels nothing else of it.
     A static object is a track only while it seems to move.
     """
 
@@ -59,6 +60,7 @@ class AgentTracks:
         self.lidar: LidarConf = sensor.lidar.conf
         self._sensor = sensor
         self._scan, self._velocity = context.reading_of(conf.lidar), context.reading_of("velocity")
+        self._goal = context.reading_of("goal")
         self._imu, self._yaw = context.reading_of("imu"), np.zeros(context.num_rows)
         segments = self.lidar.n_segments
         # Of the segments, in the body frame.
@@ -101,7 +103,8 @@ class AgentTracks:
         turned = wrap_angle(yaw - self._yaw)
         self._yaw = yaw
         twists = np.column_stack([self._velocity()[:, 0].astype(np.float64), turned / self._step_s])
-        self.tracker.update(beams, beams < self.lidar.range_m - _NO_RETURN_M, twists, self._step_s)
+        sees = beams < self.lidar.range_m - _NO_RETURN_M
+        self.tracker.update(beams, sees, twists, self.goals(), self._step_s)
         # Of the beam that is the segment's.
         shape = len(beams), len(self.bearings), -1
         nearest = beams.reshape(shape).argmin(axis=2)[:, :, None, None]
@@ -109,6 +112,11 @@ class AgentTracks:
         self._velocities = np.take_along_axis(each, nearest, axis=2)[:, :, 0]
         self.moves = np.abs(self._velocities).max(axis=2) > 0.0
         self._nearest = self._nearest_tracks()
+
+    def goals(self) -> Array:
+        """The goals (N, 2) [m] in the robots' frames, by the reading."""
+        distance, bearing = self._goal().astype(np.float64).T
+        return np.column_stack([distance * np.cos(bearing), distance * np.sin(bearing)])
 
     def _heading(self) -> Array:
         return self._imu()[:, YAW].astype(np.float64)

@@ -7,24 +7,26 @@ import numpy as np
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.compiled import compile_function
 
-CELL_M = 0.25
-CELLS = 128
+CELL_M = 0.125
+CELLS = 256
 # The map moves along when the body is this many cells from its middle.
-_ROOM = 32
+_ROOM = 64
 # Returns from farther are not entered, since a segment is wide there.
 _FARTHEST_M = 5.0
 # Evidence of an obstacle in a cell: by a return, by a beam that passes, at most, and from where on it is one.
 _HIT, _PASS, _MOST, _OCCUPIED = 2.0, 0.4, 20.0, 3.0
 # That of what the body has met, which no beam takes back.
 _MET = 100.0
-# A metre costs 1 and more beside obstacles: within 1.5 cells and within 2.5.
-_AT_COST, _BESIDE_COST = 20.0, 2.0
-# As much at and beside low obstacles, some of which are none.
-_AT_LOW_COST, _BESIDE_LOW_COST = 6.0, 1.0
+# A metre costs 1, and more within so many cells of obstacles, and of low ones, some of which are none.
+_AT_CELLS, _BESIDE_CELLS = 2.0, 4.25
+_COSTS, _LOW_COSTS = (20.0, 2.0), (6.0, 1.0)
 # Low obstacles this near to the body are no longer there if they are not seen again [m].
 _CLEARED_M = 3.0
+# Ground that is no obstacle, though a scan met it, has no step and so many known cells beside it, of 8.
+_GROUND_CELLS = 5
 _REPLAN_STEPS = 10
-_MOST_ROUNDS = 8
+# Sweeps go on until no way changes by more than this [m], or for so many rounds.
+_LEAST_CHANGE_M, _MOST_ROUNDS = 0.01, 8
 _FAR = 1e6
 
 
@@ -73,22 +75,41 @@ def _enter_scan(
 
 
 @compile_function
-def _raise_around(row: Any, column: Any, at: float, beside: float, costs: Any) -> None:
-    """Raise the costs around a cell that has an obstacle."""
-    for up in range(-2, 3):
-        for right in range(-2, 3):
-            apart = up * up + right * right
-            y, x = row + up, column + right
-            if apart > 6 or not (0 <= y < CELLS and 0 <= x < CELLS):
-                continue
-            costs[y, x] = max(costs[y, x], 1.0 + (at if apart <= 2 else beside))
+def _raise_around(row: Any, column: Any, added: Any, costs: Any) -> None:
+    """Raise the costs around a cell that has an obstacle by those `added` (at it, beside it)."""
+    reach = np.int64(_BESIDE_CELLS)
+    for y in range(max(row - reach, 0), min(row + reach + 1, CELLS)):
+        for x in range(max(column - reach, 0), min(column + reach + 1, CELLS)):
+            apart = (y - row) ** 2 + (x - column) ** 2
+            if apart <= _BESIDE_CELLS**2:
+                costs[y, x] = max(costs[y, x], 1.0 + (added[0] if apart <= _AT_CELLS**2 else added[1]))
 
 
 @compile_function
-def _enter_low(pose: Any, steps: Any, places: Any, cell_m: float, origin: Any, low: Any) -> None:
+def _is_ground(y: int, x: int, steps: Any, places: Any) -> bool:
+    """Whether a cell of a map of low obstacles, a torus, is amid known ones without a step."""
+    size, known = len(steps), 0
+    for up in range(-1, 2):
+        for right in range(-1, 2):
+            other, beside = (y + up) % size, (x + right) % size
+            if places[other, beside, 0] - places[y, x, 0] != right:
+                continue
+            if places[other, beside, 1] - places[y, x, 1] != up:
+                continue
+            if steps[other, beside]:
+                return False
+            known += 1
+    return known > _GROUND_CELLS
+
+
+@compile_function
+def _enter_low(
+    pose: Any, steps: Any, places: Any, cell_m: float, origin: Any, evidence: Any, low: Any
+) -> None:  # fmt: skip
     """Enter a map of low obstacles, as in `update_maps`, into the layer `low` (CELLS, CELLS).
 
-    Cells near the body without one are cleared first; farther ones may be covered by the map in part.
+    Cells near the body without one are cleared first, also of what scans have met if they are ground; farther
+    ones may be covered by the map in part.
     """
     for is_step in (False, True):
         for y in range(len(steps)):
@@ -100,45 +121,57 @@ def _enter_low(pose: Any, steps: Any, places: Any, cell_m: float, origin: Any, l
                     continue
                 column = np.int64(np.floor(at_x / CELL_M)) - origin[0]
                 row = np.int64(np.floor(at_y / CELL_M)) - origin[1]
-                if 0 <= row < CELLS and 0 <= column < CELLS:
-                    low[row, column] = is_step
+                if not (0 <= row < CELLS and 0 <= column < CELLS):
+                    continue
+                low[row, column] = is_step
+                is_met = evidence[row, column] > _MOST
+                if not is_step and not is_met and _is_ground(y, x, steps, places):
+                    evidence[row, column] = 0.0
 
 
 @compile_function
-def _costs_of_cells(evidence: Any, low: Any, costs: Any) -> None:
-    """Cost of a metre in each cell, by its evidence and by low obstacles."""
-    costs[:] = 1.0
-    for row in range(CELLS):
-        for column in range(CELLS):
+def _costs_of_cells(evidence: Any, low: Any, box: Any, costs: Any) -> None:
+    """Cost of a metre in each cell of a `box` (as in `solve_ways`), by evidence and by low obstacles."""
+    reach = np.int64(_BESIDE_CELLS)
+    costs[box[2] : box[3], box[0] : box[1]] = 1.0
+    for row in range(max(box[2] - reach, 0), min(box[3] + reach, CELLS)):
+        for column in range(max(box[0] - reach, 0), min(box[1] + reach, CELLS)):
             if evidence[row, column] >= _OCCUPIED:
-                _raise_around(row, column, _AT_COST, _BESIDE_COST, costs)
+                _raise_around(row, column, _COSTS, costs)
             elif low[row, column]:
-                _raise_around(row, column, _AT_LOW_COST, _BESIDE_LOW_COST, costs)
+                _raise_around(row, column, _LOW_COSTS, costs)
 
 
 @compile_function
 def solve_ways(goal_x: float, goal_y: float, costs: Any, ways: Any, box: Any = (0, CELLS, 0, CELLS)) -> None:
-    """Cost of the cheapest way from every cell to a goal [cells], by fast sweeping (Zhao, 2005).
+    """Cost of the cheapest way from every cell to a goal [cells], by fast sweeping (Zhao, 2005; Bak, 2010).
 
     A goal outside is reached from the map's edge, straight on. Ways are found within the `box` (first and end
     of its columns, first and end of its rows), and are far from everywhere else.
     """
     left, right, low, high = box
     ways[:] = _FAR
+    # Cells whose neighbours have become nearer since they were last looked at.
+    is_due = np.zeros((CELLS, CELLS), np.bool_)
     column, row = np.int64(np.floor(goal_x)), np.int64(np.floor(goal_y))
     if 0 <= column < CELLS and 0 <= row < CELLS:
         ways[row, column] = 0.0
+        is_due[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2] = True
     else:
         for edge in range(CELLS):
             for y, x in ((0, edge), (CELLS - 1, edge), (edge, 0), (edge, CELLS - 1)):
                 ways[y, x] = CELL_M * np.hypot(x + 0.5 - goal_x, y + 0.5 - goal_y)
+        is_due[low:high, left:right] = True
     for _ in range(_MOST_ROUNDS):
-        change = 0.0
+        changes = False
         for sweep in range(4):
             for i in range(high - low):
                 y = low + i if sweep < 2 else high - 1 - i
                 for j in range(right - left):
                     x = left + j if sweep % 2 == 0 else right - 1 - j
+                    if not is_due[y, x]:
+                        continue
+                    is_due[y, x] = False
                     beside = min(ways[y, max(x - 1, 0)], ways[y, min(x + 1, CELLS - 1)])
                     above = min(ways[max(y - 1, 0), x], ways[min(y + 1, CELLS - 1), x])
                     cost = costs[y, x] * CELL_M
@@ -147,10 +180,12 @@ def solve_ways(goal_x: float, goal_y: float, costs: Any, ways: Any, box: Any = (
                     else:
                         apart = beside - above
                         new = 0.5 * (beside + above + np.sqrt(2.0 * cost * cost - apart * apart))
-                    if new < ways[y, x]:
-                        change = max(change, min(ways[y, x], _FAR) - new)
+                    if new < ways[y, x] - _LEAST_CHANGE_M:
                         ways[y, x] = new
-        if change < 0.05:
+                        changes = True
+                        is_due[y, max(x - 1, 0)] = is_due[y, min(x + 1, CELLS - 1)] = True
+                        is_due[max(y - 1, 0), x] = is_due[min(y + 1, CELLS - 1), x] = True
+        if not changes:
             break
 
 
@@ -185,11 +220,11 @@ def update_maps(
         apart = np.hypot(goal_x - planned[row, 0], goal_y - planned[row, 1])
         ages[row] += 1
         if moved or not apart < 0.5 or ages[row] >= _REPLAN_STEPS:
-            _enter_low(pose, steps[row], places[row], cell_m, origin, low[row])
-            _costs_of_cells(evidence[row], low[row], costs)
+            _enter_low(pose, steps[row], places[row], cell_m, origin, evidence[row], low[row])
             x, y = pose[0] / CELL_M - origin[0], pose[1] / CELL_M - origin[1]
             to_x, to_y = goal_x / CELL_M - origin[0], goal_y / CELL_M - origin[1]
             box = (*_around(x, to_x, margin), *_around(y, to_y, margin))
+            _costs_of_cells(evidence[row], low[row], box, costs)
             solve_ways(to_x, to_y, costs, ways[row], box)
             planned[row, 0], planned[row, 1] = goal_x, goal_y
             ages[row] = 0
@@ -240,7 +275,11 @@ class LocalMap:
         """Enter a disc (3,: x, y, radius) [m] that the body of a row has met."""
         column, line = np.floor(disc[:2] / CELL_M).astype(int) - self.origins[row]
         if 0 <= column < CELLS and 0 <= line < CELLS:
-            self._evidence[row, line, column] = _MET
+            reach = int(disc[2] / CELL_M)
+            across, along = np.ogrid[-reach : reach + 1, -reach : reach + 1]
+            there = np.argwhere(across**2 + along**2 <= reach**2) - reach + (line, column)
+            there = there[((there >= 0) & (there < CELLS)).all(axis=1)]
+            self._evidence[row, there[:, 0], there[:, 1]] = _MET
             self._planned[row] = np.nan
 
     def update(

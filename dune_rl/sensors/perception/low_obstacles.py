@@ -25,6 +25,9 @@ _REACH = 2
 # So is one this far over the plane through at least so many cells there; a little keeps the plane level where
 # these do not fix its slope [cells²].
 _BUMP_M, _LEAST_CELLS, _LEVELLING = 0.045, 6.0, 1.0
+# Heights that differ from the map's by more than this, in the middle of at least so many hits, are the
+# odometry's drift, not the ground's [m].
+_DRIFT_M, _LEAST_HITS = 0.02, 12
 # A lower height takes the place of a higher one by this share in each look.
 _NEW_SHARE = 0.3
 # Hits this near to the range of a segment that moves are of what moves there.
@@ -49,9 +52,9 @@ class LowObstacles(VectorSensor):
     """The reading `name`, (N, n_segments) [m]: distance of the nearest step in each segment of a scan.
 
     Steps are where the ground rises by more than 5 cm beyond a slope, or stands out of the plane around by
-    4.5 cm: stones, bricks, kerbs, walls. Segments
-    and distances are from the LiDAR's mount. Heights are those of the rays' hits, by the robot's attitude
-    and speed readings; what moves in the scan is left out, and a step fades where lower ground is seen.
+    4.5 cm: stones, bricks, kerbs, walls. Segments and distances are from the LiDAR's mount. Heights are those
+    of the rays' hits, by the robot's attitude and speed readings and by ground that is seen again; what moves
+    in the scan is left out, and a step fades where lower ground is seen.
     """
 
     def __init__(self, name: str, context: SensorContext, conf: LowObstaclesConf) -> None:
@@ -112,34 +115,70 @@ def _update(
     headings, over the robots' ground, `sees` (N, P) which rays have one. Maps are `heights` (N, C, C) [m],
     `places` (N, C, C, 2), the numbers of cells that they are of, and `steps` (N, C, C).
     """
+    hits = np.empty(points.shape[1], np.bool_)
     for row in range(len(poses)):
         if not mask[row]:
             continue
-        _enter(
-            poses[row], mount, bearings, ranges[row], moves[row], height[row], points[row], sees[row],
-            heights[row], places[row], steps[row],
-        )  # fmt: skip
+        _leave_out_moving(points[row], mount, bearings, ranges[row], moves[row], sees[row], hits)
+        height[row] -= _drift_of(
+            poses[row], height[row], points[row], hits, heights[row], places[row], steps[row]
+        )
+        _enter(poses[row], height[row], points[row], hits, heights[row], places[row], steps[row])
         _look_around(poses[row], mount, bearings, places[row], steps[row], farthest, found[row])
 
 
 @compile_function
-def _enter(
-    pose: Any, mount: Any, bearings: Any, ranges: Any, moves: Any, height: float, points: Any, sees: Any,
-    heights: Any, places: Any, steps: Any,
+def _leave_out_moving(
+    points: Any, mount: Any, bearings: Any, ranges: Any, moves: Any, sees: Any, hits: Any
 ) -> None:  # fmt: skip
-    cos, sin = np.cos(pose[2]), np.sin(pose[2])
+    """Which of the rays that `sees` (P,) has met something, `hits` (P,), that does not move in the scan."""
     per_rad, first = len(bearings) / (2.0 * np.pi), bearings[0]
     for number in range(len(points)):
-        if not sees[number]:
+        ahead, left = points[number, 0] - mount[0], points[number, 1] - mount[1]
+        segment = np.int64(np.round((np.arctan2(left, ahead) - first) * per_rad)) % len(bearings)
+        is_near = abs(np.hypot(ahead, left) - ranges[segment]) < _MOVING_M
+        hits[number] = sees[number] and not (moves[segment] and is_near)
+
+
+@compile_function
+def _cell_of(pose: Any, point: Any) -> Any:
+    """Numbers (x, y) of the cell in the odometry's frame of a point in the body's."""
+    cos, sin = np.cos(pose[2]), np.sin(pose[2])
+    x = np.int64(np.floor((pose[0] + cos * point[0] - sin * point[1]) / _CELL_M))
+    y = np.int64(np.floor((pose[1] + sin * point[0] + cos * point[1]) / _CELL_M))
+    return x, y
+
+
+@compile_function
+def _drift_of(
+    pose: Any, height: float, points: Any, hits: Any, heights: Any, places: Any, steps: Any
+) -> float:  # fmt: skip
+    """Median height of the hits over the map [m], in cells that it knows; 0 if that is little."""
+    apart, count = np.empty(len(points)), 0
+    for number in range(len(points)):
+        if hits[number]:
+            x, y = _cell_of(pose, points[number])
+            row, column = y % _CELLS, x % _CELLS
+            is_known = places[row, column, 0] == x and places[row, column, 1] == y
+            if is_known and not steps[row, column]:
+                apart[count] = points[number, 2] + height - heights[row, column]
+                count += 1
+    if count < _LEAST_HITS:
+        return 0.0
+    middle = np.median(apart[:count])
+    result: float = np.sign(middle) * max(abs(middle) - _DRIFT_M, 0.0)
+    return result
+
+
+@compile_function
+def _enter(
+    pose: Any, height: float, points: Any, hits: Any, heights: Any, places: Any, steps: Any
+) -> None:  # fmt: skip
+    """Enter the `hits` (P,) among `points` (P, 3) into a map."""
+    for number in range(len(points)):
+        if not hits[number]:
             continue
-        ahead, left = points[number, 0], points[number, 1]
-        away = np.hypot(ahead - mount[0], left - mount[1])
-        bearing = np.arctan2(left - mount[1], ahead - mount[0])
-        segment = np.int64(np.round((bearing - first) * per_rad)) % len(bearings)
-        if moves[segment] and abs(away - ranges[segment]) < _MOVING_M:
-            continue
-        x = np.int64(np.floor((pose[0] + cos * ahead - sin * left) / _CELL_M))
-        y = np.int64(np.floor((pose[1] + sin * ahead + cos * left) / _CELL_M))
+        x, y = _cell_of(pose, points[number])
         z = points[number, 2] + height
         row, column = y % _CELLS, x % _CELLS
         if places[row, column, 0] == x and places[row, column, 1] == y:

@@ -23,6 +23,9 @@ _SLOWEST_MPS = 0.35
 _COLUMNS = 10
 # A scan is compared with those of so long ago [s].
 _PAST_S = (0.6, 1.0)
+# Time in which the odometry takes the goal's reading for its own drift [s], and how far a goal moves at once
+# that is a new one [m].
+_DRIFT_S, _NEW_GOAL_M = 0.5, 1.0
 
 
 @compile_function
@@ -72,6 +75,21 @@ def _move_pose(pose: Any, twist: Any, step_s: float) -> None:
 
 
 @compile_function
+def _hold_to_goal(pose: Any, goal: Any, place: Any, share: float) -> None:
+    """Move a pose (3,) by a share of what its goal (2,), in the body's frame, has left its `place` (2,).
+
+    A body that slips sideways measures it by nothing else. NaN is no goal.
+    """
+    cos, sin = np.cos(pose[2]), np.sin(pose[2])
+    x = pose[0] + cos * goal[0] - sin * goal[1]
+    y = pose[1] + sin * goal[0] + cos * goal[1]
+    if not np.hypot(x - place[0], y - place[1]) < _NEW_GOAL_M:
+        place[0], place[1] = x, y
+    pose[0] += share * (place[0] - x)
+    pose[1] += share * (place[1] - y)
+
+
+@compile_function
 def _match(clusters: Any, found: int, pose: Any, step_s: float, tracks: Any, count: int, taken: Any) -> int:
     """Move the tracks (T, columns) of a row on, correct them by the `found` clusters, drop what was not seen
     for long, and begin new ones; how many there are. `taken` (S,) gets the track of each cluster, or -1;
@@ -110,14 +128,16 @@ def _match(clusters: Any, found: int, pose: Any, step_s: float, tracks: Any, cou
 
 @compile_function
 def track_scans(
-    ranges: Any, points: Any, sees: Any, twists: Any, step_s: float, rays: Any, mount: Any, poses: Any,
-    past: Any, tracks: Any, counts: Any, moving: Any, moving_counts: Any, velocities: Any,
+    ranges: Any, points: Any, sees: Any, twists: Any, goals: Any, goal_places: Any, step_s: float, rays: Any,
+    mount: Any, poses: Any, past: Any, tracks: Any, counts: Any, moving: Any, moving_counts: Any,
+    velocities: Any,
 ) -> None:  # fmt: skip
     """Update the tracks of N rows by a scan each.
 
     `ranges` (N, S) [m], `points` (N, S, 2) [m] and `sees` (N, S) are of the scan, `rays` is (bearing of the
     first one [rad], rays per radian). `twists` (N, 2: speed, yaw rate) move the `poses` (N, 3) of the
-    odometry by a step. `past` is (earlier scans (N, L, S), their poses (N, L, 3), how many there were (N,),
+    odometry by a step, and `goals` (N, 2) [m], in the vehicles' frames, hold them to where these were, in
+    `goal_places` (N, 2). `past` is (earlier scans (N, L, S), their poses (N, L, 3), how many there were (N,),
     how many scans ago those are that count). `tracks` (N, T, columns) are changed, `counts` of them in a row.
     `moving` (N, T, 4: x, y, velocity) and `velocities` (N, S, 2), of the rays, are those of what moves, in
     the vehicles' frames.
@@ -130,6 +150,8 @@ def track_scans(
     for row in range(len(ranges)):
         pose = poses[row]
         _move_pose(pose, twists[row], step_s)
+        if not np.isnan(goals[row, 0]):
+            _hold_to_goal(pose, goals[row], goal_places[row], min(step_s / _DRIFT_S, 1.0))
         cos, sin = np.cos(pose[2]), np.sin(pose[2])
         for ray in range(size):
             places[ray, 0] = pose[0] + cos * points[row, ray, 0] - sin * points[row, ray, 1]
@@ -172,7 +194,7 @@ def track_scans(
 
 
 class ScanTracker:
-    """Finds what moves in the LiDAR scans of N bodies, by their scans and speed readings alone.
+    """Finds what moves in the LiDAR scans of N bodies, by their scans, speeds and the goal's place alone.
 
     `bearings` (S,) [rad] are those of the scan's rays, evenly spaced, and `mount` (2,) [m] where it is, in
     the vehicles' frames.
@@ -182,6 +204,7 @@ class ScanTracker:
         rays = len(bearings)
         # Of the odometry: x, y [m] and yaw [rad].
         self.poses = np.zeros((num_rows, 3))
+        self._goal_places = np.full((num_rows, 2), np.nan)
         self._tracks = np.zeros((num_rows, _MOST_TRACKS, _COLUMNS))
         self._counts = np.zeros(num_rows, np.int64)
         # Of what moves, in the vehicles' frames (N, T, 4: x, y, velocity); a row has `moving_counts` of them.
@@ -200,10 +223,11 @@ class ScanTracker:
         """Forget the tracks of the rows in `mask` (N,)."""
         self._counts[mask] = self._taken[mask] = self.moving_counts[mask] = 0
         self.velocities[mask] = self.poses[mask] = 0.0
+        self._goal_places[mask] = np.nan
 
-    def update(self, ranges: Array, sees: Flags, twists: Array, step_s: float) -> None:
+    def update(self, ranges: Array, sees: Flags, twists: Array, goals: Array, step_s: float) -> None:
         """Take a scan: `ranges` (N, S) [m] and which rays have a return, and the readings of speed and yaw
-        rate (N, 2) after the last step.
+        rate (N, 2) after the last step, and of the goal (N, 2) [m] in the vehicles' frames, NaN if unknown.
         """
         lags = np.maximum(np.round(np.array(_PAST_S) / step_s), 1).astype(np.int64)
         if not np.array_equal(lags, self._lags):
@@ -214,7 +238,7 @@ class ScanTracker:
             self._taken[:] = 0
         points = ranges[:, :, None] * self._ahead + self._mount
         track_scans(
-            ranges, points, sees, twists, step_s, self._rays, self._mount, self.poses,
-            (self._scans, self._scan_poses, self._taken, self._lags), self._tracks, self._counts,
+            ranges, points, sees, twists, goals, self._goal_places, step_s, self._rays, self._mount,
+            self.poses, (self._scans, self._scan_poses, self._taken, self._lags), self._tracks, self._counts,
             self.moving, self.moving_counts, self.velocities,
         )  # fmt: skip

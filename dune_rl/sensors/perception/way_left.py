@@ -17,7 +17,7 @@ from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.state import GroupState, State
 
 # Ways are looked for up to so many cells from the robot and its goal: 6 m.
-_MARGIN = 24
+_MARGIN = 48
 # Differences of ways are limited to these [m]: an obstacle costs far more.
 _SHORTER_M, _LONGER_M = -4.0, 6.0
 
@@ -53,7 +53,7 @@ class WayLeft(VectorSensor):
             raise ConfigError(
                 f"sensors.{name}.tracks must be the name of a sensor agent_tracks (got {conf.tracks!r})"
             )
-        self._tracks, self._goal = tracks, context.reading_of("goal")
+        self._tracks = tracks
         low = None if conf.low_obstacles is None else context.sensor_of(conf.low_obstacles)
         if low is not None and not isinstance(low, LowObstacles):
             raise ConfigError(
@@ -69,7 +69,7 @@ class WayLeft(VectorSensor):
     def begin(self, mask: Flags, now: GroupState, state: State) -> None:
         """Begin the maps of the agents in `mask` (N,) anew, for which the ways are straight."""
         self.map.forget(mask)
-        goals = self._goals()
+        goals = self._tracks.goals()
         straight = (
             np.linalg.norm(goals[:, None] - self._points, axis=2) - np.linalg.norm(goals, axis=1)[:, None]
         )
@@ -78,17 +78,12 @@ class WayLeft(VectorSensor):
         self._reading = np.where(mask[:, None], self._reading, before)
 
     def measure(self, now: GroupState, state: State) -> None:
-        tracks, goals = self._tracks, self._goals()
+        tracks, goals = self._tracks, self._tracks.goals()
         low = None if self._obstacles is None else self._obstacles.map
         self.map.update(tracks.tracker.poses, tracks.ranges, tracks.sees, tracks.moves, goals, low)
         found = np.empty((len(goals), len(self._points)), np.float32)
         _ways_around(tracks.tracker.poses, self.map.ways, self.map.origins, self._points, found)
         self._store(found)
-
-    def _goals(self) -> Array:
-        """The goals (N, 2) [m] in the robots' frames, by the reading."""
-        distance, bearing = self._goal().astype(np.float64).T
-        return np.column_stack([distance * np.cos(bearing), distance * np.sin(bearing)])
 
 
 @compile_function

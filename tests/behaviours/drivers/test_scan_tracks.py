@@ -12,6 +12,7 @@ from dune_rl.sensors.perception.scan_tracks import ScanTracker
 STEP_S = 0.05
 BEARINGS = beam_angles(LIDAR).reshape(LIDAR.n_segments, -1).mean(axis=1)
 MOUNT = np.zeros(2)
+NO_GOAL = np.full((1, 2), np.nan)
 
 
 def track(bodies: DrivenBodies, discs: np.ndarray, velocity: np.ndarray, action: np.ndarray, steps: int):
@@ -22,7 +23,7 @@ def track(bodies: DrivenBodies, discs: np.ndarray, velocity: np.ndarray, action:
         ranges = readings["lidar"].astype(float)
         twists = readings["velocity"].astype(float)
         sees = ranges < LIDAR.range_m - 1e-3
-        tracker.update(ranges, sees, twists, STEP_S)
+        tracker.update(ranges, sees, twists, NO_GOAL, STEP_S)
         last = discs
         bodies.move(action)
         discs = discs + np.column_stack([velocity * STEP_S, np.zeros(len(discs))])
@@ -61,11 +62,24 @@ def test_posts_do_not_move_however_the_body_turns() -> None:
         readings = bodies.readings(posts)
         ranges, twists = readings["lidar"].astype(float), readings["velocity"].astype(float)
         sees = ranges < LIDAR.range_m - 1e-3
-        tracker.update(ranges, sees, twists, STEP_S)
+        tracker.update(ranges, sees, twists, NO_GOAL, STEP_S)
         wrong += int(tracker.moving_counts[0])
         bodies.move(np.array([[0.2, 0.5 * np.sin(0.05 * step)]]))
     # Segments are wide: a jump between two of them may pass for motion for a moment.
     assert wrong < 30
+
+
+def test_a_slip_that_no_speed_reading_shows_is_known_by_the_goal() -> None:
+    """A body slips to its left at 0.1 m/s, then its goal is another one."""
+    nothing, still = np.full((1, len(BEARINGS)), LIDAR.range_m), np.zeros((1, 2))
+    with_goal, without = (ScanTracker(1, BEARINGS, MOUNT) for _ in range(2))
+    for step in range(200):
+        left = 0.1 * step * STEP_S
+        goal = np.array([[5.0, -2.0 - left]]) if step < 150 else np.array([[-3.0, 4.0 - left]])
+        with_goal.update(nothing, nothing < 1.0, still, goal, STEP_S)
+        without.update(nothing, nothing < 1.0, still, NO_GOAL, STEP_S)
+    assert with_goal.poses[0, :2] == pytest.approx([0.0, left], abs=0.12)
+    assert without.poses[0, :2] == pytest.approx([0.0, 0.0], abs=1e-9)
 
 
 FINE = np.arange(128) * (2 * np.pi / 128) - np.pi
@@ -88,7 +102,7 @@ def test_a_person_is_tracked_to_some_centimetres_also_right_before_a_wall(wall_x
     person, still = np.array([3.0, -1.5, 0.25]), np.zeros((1, 2))
     for _ in range(50):
         ranges = scan_of_disc_before_wall(person, wall_x)
-        tracker.update(ranges, ranges < RANGE_M - 1e-3, still, STEP_S)
+        tracker.update(ranges, ranges < RANGE_M - 1e-3, still, NO_GOAL, STEP_S)
         seen = person.copy()
         person[1] += STEP_S
     assert tracker.moving_counts[0] == 1
@@ -103,7 +117,7 @@ def test_a_person_who_stops_rests_after_a_second() -> None:
     moved = []
     for step in range(70):
         ranges = scan_of_disc_before_wall(person, 11.0)
-        tracker.update(ranges, ranges < RANGE_M - 1e-3, still, STEP_S)
+        tracker.update(ranges, ranges < RANGE_M - 1e-3, still, NO_GOAL, STEP_S)
         moved.append(int(tracker.moving_counts[0]))
         person[1] += STEP_S if step < 30 else 0.0
     assert moved[25] == 1 and moved[-1] == 0
