@@ -166,6 +166,9 @@ def _may_be(returned: Any, product: Any) -> bool:
     if getattr(product, "_is_protocol", False):
         return returned not in (int, float, str, bool, type(None))
     kind = get_origin(returned) or returned
+    # An alias, such as numpy's NDArray from 2.5 on.
+    while hasattr(kind, "__value__"):
+        kind = get_origin(kind.__value__) or kind.__value__
     return isinstance(kind, type) and issubclass(kind, product)
 
 

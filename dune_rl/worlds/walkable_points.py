@@ -15,6 +15,8 @@ from dune_rl.worlds.passage import water_depth
 from dune_rl.worlds.world import World
 
 _LEAST_APART_M = 0.1
+# Water as deep as is allowed, by rays that differ in their last digits from processor to processor.
+_ROUNDING_M = 1e-5
 _MOST_FAULTS = 12
 _OUTSIDE, _IN_OBSTACLE, _TOO_NEAR = "outside the world", "in an obstacle", "too near an obstacle"
 
@@ -146,7 +148,7 @@ def _faults(world: World, xy: Array, limits: TerrainLimits | None, words: PointW
         measure = f" ({slope[k]:.1f} degrees, and {name}max_slope_deg is {steepest:g})"
         yield _Fault(k, "on too steep ground", measure, f", or raise {name}max_slope_deg")
     depth = water_depth(world, xy)
-    for k in np.flatnonzero(inside & (depth > limits.max_water_m)).tolist():
+    for k in np.flatnonzero(inside & (depth > limits.max_water_m + _ROUNDING_M)).tolist():
         measure = f" ({depth[k]:.2f} m deep, and {name}max_water_m is {limits.max_water_m:g})"
         yield _Fault(k, "in water", measure, f", or raise {name}max_water_m")
 

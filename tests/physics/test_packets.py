@@ -158,7 +158,7 @@ def test_vertices_and_faces_are_copied():
     scene = RayScene(vertices, faces)
     vertices[:], faces[:] = 99.0, 0
     ahead = np.zeros((1, 3), np.float32), np.float32([[1.0, 0.0, 0.0]])
-    assert scene.first_hit(*ahead, FAR_M)[0] == [2.0]
+    assert scene.first_hit(*ahead, FAR_M)[0] == pytest.approx([2.0])
 
 
 def test_a_shorter_range_is_kept():

@@ -8,9 +8,11 @@ from typing import Annotated, Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from published_tasks import DUNE_CODE, PAPER, begun, with_terms
 from pydantic import Field, ValidationError
 from term_states import agents, state_of
+from typing_extensions import TypeAliasType
 
 import dune_rl
 from dune_rl.config.build import make_simulation
@@ -55,6 +57,27 @@ def test_a_registered_reward_is_logged_under_its_name() -> None:
     )
     assert stepped.groups["rover"].reward.shape == (2,)
     simulation.close()
+
+
+# As numpy's NDArray is from version 2.5 on.
+Values = TypeAliasType("Values", NDArray[np.float64])
+Number = TypeAliasType("Number", int)
+
+
+@pytest.mark.usefixtures("_users_terms_go")
+def test_a_term_may_say_what_it_returns_by_an_alias() -> None:
+    @dune_rl.register_reward
+    def still(state: Any, group: GroupState) -> Values:
+        return -np.abs(group.motion.velocity_b[:, 0])
+
+    TaskConf.model_validate({"rewards": {"still": {"weight": 1.0}}})
+    with pytest.raises(RegistryError, match="says that it returns"):
+
+        @dune_rl.register_reward
+        def wrong(state: Any, group: GroupState) -> Number:
+            return 1
+
+        TaskConf.model_validate({"rewards": {"wrong": {"weight": 1.0}}})
 
 
 @pytest.mark.usefixtures("_users_terms_go")
