@@ -289,3 +289,36 @@ def test_low_obstacles_out_of_sight_stay_on_the_map() -> None:
     )  # fmt: skip
     assert ways_past(map_, 10.0, 20) > nothing + 0.1
     assert ways_past(map_, 10.0, 20, flat) == pytest.approx(nothing, abs=0.05)
+
+
+def test_what_a_scan_meets_on_known_ground_is_no_obstacle_but_a_step_there_is() -> None:
+    """Nine cells of ground around the return 2 m ahead, without a step and with one; and only two of them."""
+    x, y = np.meshgrid(np.arange(18, 23), np.arange(-2, 3))
+    places = np.stack([x, y], axis=-1)[None].astype(np.int32)
+    flat, stone = np.zeros((2, 1, 5, 5), bool)
+    stone[0, 2, 2] = True
+    wall, ground, step, part = (
+        ways_past(LocalMap(1, np.zeros(1), np.zeros(2)), 2.0, 22, low)
+        for low in (
+            None,
+            (flat, places, 0.1),
+            (stone, places, 0.1),
+            (flat[:, :1, :2], places[:, :1, :2], 0.1),
+        )
+    )
+    assert wall > ground + 0.2 and step > ground + 0.2
+    assert part == pytest.approx(wall, abs=0.05)
+
+
+def test_ground_that_is_seen_again_corrects_the_height_of_the_map() -> None:
+    simulation = on_ground(task={"terminations": {}})
+    suite = simulation.external[0].suite
+    assert suite is not None
+    sensor = suite.sensors["low_obstacles"]
+    # As after a while of faulty pitch.
+    sensor._climbed_m += 0.3
+    for _ in range(3):
+        act(simulation)
+    assert abs(sensor._climbed_m[0]) < 0.03
+    assert (readings(simulation)["low_obstacles"] == 3.0).all()
+    simulation.close()

@@ -39,7 +39,7 @@ class Mppi(BoundBehaviour):
 
     It knows the readings `goal`, `lidar` and `velocity` of its group, with their faults if they have any, and
     the vehicle's own size, limits and LiDAR mount. It knows no map and no slopes: it remembers the returns of
-    the last 32 by 32 m (`LocalMap`), in the frame of the odometry that `velocity` and `goal` give, and finds
+    the last 32 by 32 m (`LocalMap`), in the frame of the odometry that `velocity` gives, and finds
     its way to the goal there. Small objects that move from scan to scan have tracks (`ScanTracker`), and go
     on with their velocity within the horizon. Rising ground in the scan is an obstacle to it, and what lies
     below the scan's plane it does not see before it meets it.
@@ -82,6 +82,8 @@ class Mppi(BoundBehaviour):
         self._mount = mount_position(lidar.mount_b)[:2]
         self._tracker = ScanTracker(self._num_rows, middle, self._mount)
         self._map = LocalMap(self._num_rows, middle, self._mount)
+        # Its yaw is a sum of yaw rates, whose drift the bearing of the goal does not have.
+        self._no_goals = np.full((self._num_rows, 2), np.nan)
         # Whether the scan covers what is behind.
         sees_behind = np.abs(np.abs(of_beams) - np.pi).min() < np.deg2rad(20.0)
         reverse = _WEIGHTS[4] if sees_behind else _BLIND_REVERSE_COST_PER_M
@@ -147,7 +149,7 @@ class Mppi(BoundBehaviour):
         reach = vehicle.max_speed_mps * self._horizon * _STEP_S + vehicle.footprint_radius_m + self._margin_m
         sees = ranges < lidar.range_m - 1e-3
         tracker = self._tracker
-        tracker.update(ranges, sees, twists, goals, step_s)
+        tracker.update(ranges, sees, twists, self._no_goals, step_s)
         movers = np.concatenate([tracker.moving, np.full((*tracker.moving.shape[:2], 1), _MOVER_M)], axis=-1)
         points = (ranges[:, :, None, None] * self._directions + self._mount).reshape(self._num_rows, -1, 2)
         moves: Flags = np.abs(tracker.velocities).max(axis=2) > 0.0

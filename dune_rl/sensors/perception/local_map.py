@@ -88,7 +88,7 @@ def _raise_around(row: Any, column: Any, added: Any, costs: Any) -> None:
 @compile_function
 def _is_ground(y: int, x: int, steps: Any, places: Any) -> bool:
     """Whether a cell of a map of low obstacles, a torus, is amid known ones without a step."""
-    size, known = len(steps), 0
+    size, known = len(steps), -1
     for up in range(-1, 2):
         for right in range(-1, 2):
             other, beside = (y + up) % size, (x + right) % size
@@ -99,7 +99,7 @@ def _is_ground(y: int, x: int, steps: Any, places: Any) -> bool:
             if steps[other, beside]:
                 return False
             known += 1
-    return known > _GROUND_CELLS
+    return known >= _GROUND_CELLS
 
 
 @compile_function
@@ -144,7 +144,9 @@ def _costs_of_cells(evidence: Any, low: Any, box: Any, costs: Any) -> None:
 
 @compile_function
 def solve_ways(goal_x: float, goal_y: float, costs: Any, ways: Any, box: Any = (0, CELLS, 0, CELLS)) -> None:
-    """Cost of the cheapest way from every cell to a goal [cells], by fast sweeping (Zhao, 2005; Bak, 2010).
+    """Cost [m] of the cheapest way from every cell to a goal (column, row), by fast sweeping.
+
+    Zhao (2005), of cells that have nearer neighbours only (Bak et al., 2010).
 
     A goal outside is reached from the map's edge, straight on. Ways are found within the `box` (first and end
     of its columns, first and end of its rows), and are far from everywhere else.
@@ -248,9 +250,9 @@ class LocalMap:
 
     A cell is an obstacle after two returns. Beams that pass through a cell clear it, the sooner the fewer
     returns it had; not where the body has met something (`block`). Low obstacles, which no scan sees, are a
-    layer of their own. Returns from moving objects are ignored. `ways` are the costs to the goals, found up
-    to `margin` cells from the body and its goal; `origins` (N, 2) are the numbers of the maps' first columns
-    and rows.
+    layer of their own; where that knows ground without one, returns are no obstacle. Returns from moving
+    objects are ignored. `ways` are the costs to the goals [m], found up to `margin` cells from the body and
+    its goal; `origins` (N, 2) are the numbers of the maps' first columns and rows.
     """
 
     def __init__(self, num_rows: int, bearings: Array, mount: Array, margin: int = CELLS) -> None:

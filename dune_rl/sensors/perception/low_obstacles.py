@@ -153,7 +153,7 @@ def _cell_of(pose: Any, point: Any) -> Any:
 def _drift_of(
     pose: Any, height: float, points: Any, hits: Any, heights: Any, places: Any, steps: Any
 ) -> float:  # fmt: skip
-    """Median height of the hits over the map [m], in cells that it knows; 0 if that is little."""
+    """Median height of the hits over the map [m], in cells that it knows, beyond what is little."""
     apart, count = np.empty(len(points)), 0
     for number in range(len(points)):
         if hits[number]:

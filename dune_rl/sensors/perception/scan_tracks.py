@@ -25,7 +25,7 @@ _COLUMNS = 10
 _PAST_S = (0.6, 1.0)
 # Time in which the odometry takes the goal's reading for its own drift [s], and how far a goal moves at once
 # that is a new one [m].
-_DRIFT_S, _NEW_GOAL_M = 0.5, 1.0
+_DRIFT_S, _NEW_GOAL_M = 0.5, 0.5
 
 
 @compile_function
@@ -76,9 +76,10 @@ def _move_pose(pose: Any, twist: Any, step_s: float) -> None:
 
 @compile_function
 def _hold_to_goal(pose: Any, goal: Any, place: Any, share: float) -> None:
-    """Move a pose (3,) by a share of what its goal (2,), in the body's frame, has left its `place` (2,).
+    """Move a pose (3,) by a share of how far its goal (2,), in its frame, has left its `place` (2,) [m].
 
-    A body that slips sideways measures it by nothing else. NaN is no goal.
+    A body that slips sideways measures it by nothing else. The pose's yaw must be as exact as the goal's
+    bearing: an error of theirs moves the pose by its sine times the distance. NaN is no place yet.
     """
     cos, sin = np.cos(pose[2]), np.sin(pose[2])
     x = pose[0] + cos * goal[0] - sin * goal[1]
@@ -227,7 +228,8 @@ class ScanTracker:
 
     def update(self, ranges: Array, sees: Flags, twists: Array, goals: Array, step_s: float) -> None:
         """Take a scan: `ranges` (N, S) [m] and which rays have a return, and the readings of speed and yaw
-        rate (N, 2) after the last step, and of the goal (N, 2) [m] in the vehicles' frames, NaN if unknown.
+        rate (N, 2) after the last step, and of the goal (N, 2) [m] in the vehicles' frames, NaN where it is
+        no measure of the odometry.
         """
         lags = np.maximum(np.round(np.array(_PAST_S) / step_s), 1).astype(np.int64)
         if not np.array_equal(lags, self._lags):
