@@ -11,6 +11,7 @@ from dune_rl.core.errors import ConfigError
 from dune_rl.env.requests import AgentRequest
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.sensors.perception.local_map import LocalMap, way_left
+from dune_rl.sensors.perception.low_obstacles import LowObstacles
 
 SENSORS = {
     "lidar": {"n_segments": 64},
@@ -315,6 +316,7 @@ def test_ground_that_is_seen_again_corrects_the_height_of_the_map() -> None:
     suite = simulation.external[0].suite
     assert suite is not None
     sensor = suite.sensors["low_obstacles"]
+    assert isinstance(sensor, LowObstacles)
     # As after a while of faulty pitch.
     sensor._climbed_m += 0.3
     for _ in range(3):
