@@ -10,7 +10,7 @@ from test_sac import _one_step_episodes
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from training import SMALL, assert_halves_make_a_whole, make_context
 
-from dune_rl.core.errors import CheckpointError
+from dune_rl.core.errors import CheckpointError, ConfigError
 from dune_rl.learning.discrete_sac.learner import DiscreteSac
 from dune_rl.learning.discrete_sac.settings import DiscreteSacConf
 from dune_rl.learning.group_policy import Deterministic
@@ -133,6 +133,43 @@ def test_it_begins_with_the_command_and_the_values_of_the_imitated_costs(tmp_pat
     own = found.policy.network.state_dict()
     found.start_from({"policy": own, "algorithm": "discrete_sac"})
     torch.testing.assert_close(found.policy.network(steps["observation"].clone())["logits"], logits)
+
+
+@pytest.mark.parametrize("target", [0.1, 1.0])
+def test_a_policy_goes_as_far_from_where_it_began_as_it_may(tmp_path: Path, target: float) -> None:
+    torch.manual_seed(0)
+    found = learner(
+        tmp_path, target_divergence=target, start_from="imitated", initial_entropy_coefficient=0.2,
+        entropy_learning_rate=0.05,
+    )  # fmt: skip
+    found.start_from({"policy": make_command_network(SPEC, found.network_settings()).state_dict()})
+    steps = _one_step_episodes(SPEC, terminated=True)
+    commands = command_grid(SPEC, GRID)
+    drawn = torch.randint(len(commands), steps["action"].shape[:-1])
+    steps["action"] = commands[drawn]
+    # The faster the better.
+    steps["next", "reward"] = 5.0 * steps["action"][..., :1]
+    observations = steps["observation"].clone()
+    before = found.policy.network(observations.clone())["logits"].log_softmax(-1)
+    rows = found._codec.encode(steps)
+    found._critic_features.observe(found._codec.observations(rows))
+    found._learn([rows] * 400)
+    after = found.policy.network(observations.clone())["logits"].log_softmax(-1)
+    divergence = (after.exp() * (after - before)).sum(-1).mean().item()
+    assert target / 3 < divergence < 3 * target
+    speeds = commands[:, 0]
+    assert ((after.exp() - before.exp()) * speeds).sum(-1).mean() > 0.05
+    # A resumed run measures from the same policy.
+    resumed = learner(tmp_path, target_divergence=target, start_from="imitated")
+    resumed.load_state_dict(found.state_dict())
+    for step in (found._step, resumed._step):
+        encoded = step._encode(found._codec.observations(rows))
+        torch.testing.assert_close(encoded[:, -len(speeds) :], before.reshape(-1, len(speeds)))
+
+
+def test_a_divergence_is_from_a_policy_that_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"learning\.start_from"):
+        learner(tmp_path, target_divergence=0.5)
 
 
 def test_two_halves_of_a_run_are_the_whole(tmp_path: Path) -> None:

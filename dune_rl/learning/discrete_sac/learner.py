@@ -1,32 +1,37 @@
 """Discrete soft actor-critic as a learner of one agent group: the values of all commands at once."""
 
+import copy
 import math
 from collections.abc import Mapping
 from typing import Any
 
 import torch
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import (
     ProbabilisticTensorDictSequential,
     TensorDictModule,
     TensorDictModuleBase,
+    TensorDictSequential,
 )
 from torch import Tensor, nn
 from torch.distributions import Categorical
 from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import DiscreteSACLoss, SoftUpdate
 
+from dune_rl.core.errors import ConfigError
 from dune_rl.learning.algorithm import LearnerContext
 from dune_rl.learning.discrete_sac.settings import DiscreteSacConf
 from dune_rl.learning.networks.commands import CommandHead, make_command_network
 from dune_rl.learning.networks.policy import FEATURES, perceptron
-from dune_rl.learning.policy_spec import PolicySpec
+from dune_rl.learning.policy_spec import PackedObservation, PolicySpec
 from dune_rl.learning.sac.gradient_step import GradientStep, MakeBatch
 from dune_rl.learning.sac.learner import MaximumEntropyLearner
 
 _ENTROPY_SHARE = 0.25
 # Of their random weights that critics keep which begin by an imitated policy's costs.
 _RANDOM_SHARE = 0.1
+# Log probabilities (..., C) of the commands by the policy from which a divergence is measured.
+_REFERENCE = "reference"
 
 
 class DiscreteSacStep(GradientStep):
@@ -41,12 +46,14 @@ class DiscreteSacStep(GradientStep):
         assert isinstance(head, CommandHead)
         self._commands = head.commands
         self._taken = 0
+        self._reference: TensorDictSequential | None = None
         values = TensorDictModule(
             _CommandValues(features, conf.hidden, len(head.commands)),
             in_keys=[key],
             out_keys=["action_value"],
         ).to(self._device)
-        loss = DiscreteSACLoss(
+        make_loss = DiscreteSACLoss if conf.target_divergence is None else _DivergenceLoss
+        loss = make_loss(
             _categorical(head),
             values,
             action_space="categorical",
@@ -61,13 +68,36 @@ class DiscreteSacStep(GradientStep):
         return loss
 
     def _target_entropy_of(self, spec: PolicySpec) -> float:
+        if self._conf.target_divergence is not None:
+            return -self._conf.target_divergence
         wanted = self._conf.target_entropy
         return _ENTROPY_SHARE * math.log(len(self._commands)) if wanted is None else wanted
 
     def _separate(self, batch: TensorDict) -> TensorDict:
         """Also the number of the command that is nearest to each action."""
         apart = (batch.get("action")[:, None] - self._commands).square().sum(-1)
-        return super()._separate(batch.set("action", apart.argmin(-1)))
+        batch.set("action", apart.argmin(-1))
+        if self._reference is not None:
+            for part in (batch, batch.get("next")):
+                features = part.get(FEATURES)
+                split = features.shape[-1] - len(self._commands)
+                part.set(_REFERENCE, features[..., split:]).set(FEATURES, features[..., :split])
+        return super()._separate(batch)
+
+    def _encode(self, packed: PackedObservation) -> Tensor:
+        """What actor and critics read, and behind it the log probabilities of the reference."""
+        own = super()._encode(packed)
+        if self._reference is None:
+            return own
+        with torch.no_grad():
+            features, head = (module.module for module in self._reference)
+            public = self._critic_features.select_public(packed)
+            logits: Tensor = _Logits(head)(features.encode(public))
+        return torch.cat([own, logits.log_softmax(-1)], -1)
+
+    def measure_divergence_from(self, network: TensorDictSequential) -> None:
+        """Take a copy of `network` for the policy from which the divergence is measured."""
+        self._reference = copy.deepcopy(network).requires_grad_(requires_grad=False)
 
     def __call__(self, make_batch: MakeBatch) -> dict[str, Tensor]:
         self._taken += 1
@@ -110,11 +140,47 @@ class DiscreteSacStep(GradientStep):
         return found
 
     def state_dict(self) -> dict[str, Any]:
-        return {**super().state_dict(), "taken": self._taken}
+        reference = {} if self._reference is None else {_REFERENCE: self._reference.state_dict()}
+        return {**super().state_dict(), "taken": self._taken, **reference}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         super().load_state_dict(state)
         self._taken = state["taken"]
+        if self._reference is not None:
+            self._reference.load_state_dict(state[_REFERENCE])
+
+
+class _DivergenceLoss(DiscreteSACLoss):
+    """The loss with the divergence from a reference policy in place of the entropy.
+
+    Its "entropy" is the negative divergence (Kullback and Leibler's): the policy is the best one by the
+    critics' values that is, on average, no farther from the reference than the target.
+    """
+
+    def _policy(self, batch: TensorDictBase) -> tuple[Tensor, Tensor]:
+        """Probabilities (k, C) of the commands, and the logarithms of their ratios to the reference's."""
+        with self.actor_network_params.to_module(self.actor_network, preserve_module_state=False):
+            distribution = self.actor_network.get_dist(batch.clone(recurse=False))
+        return distribution.probs, distribution.logits - batch.get(_REFERENCE)
+
+    def _value(self, batch: TensorDictBase, parameters: TensorDictBase) -> tuple[Tensor, Tensor]:
+        """Expected value (k,) of the policy, less the price of its divergence, and the divergence (k,)."""
+        probability, ratio = self._policy(batch)
+        read = batch.select(*self.qvalue_network.in_keys)
+        values = self._vmap_qnetworkN0(read, parameters).get("action_value").amin(0)
+        return (probability * (values - self._alpha * ratio)).sum(-1), (probability * ratio).sum(-1)
+
+    @torch.no_grad()
+    def _compute_target(self, tensordict: TensorDictBase) -> Tensor:
+        value, _ = self._value(tensordict.get("next"), self.target_qvalue_network_params)
+        copied = tensordict.copy()
+        copied.set(("next", self.value_estimator.tensor_keys.value), value.unsqueeze(-1))
+        target: Tensor = self.value_estimator.value_estimate(copied).squeeze(-1)
+        return target
+
+    def actor_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
+        value, divergence = self._value(tensordict, self._cached_detached_qvalue_params)
+        return -value.mean(), {"log_prob": divergence.detach()}
 
 
 class _CommandValues(nn.Module):
@@ -162,6 +228,18 @@ class DiscreteSac(MaximumEntropyLearner):
 
     def __init__(self, context: LearnerContext, conf: DiscreteSacConf) -> None:
         super().__init__(context, conf)
+        if conf.target_divergence is not None:
+            if conf.start_from is None:
+                raise ConfigError(
+                    "learning.target_divergence is measured from the policy of learning.start_from: name a "
+                    "run's folder or a policy's file there, or leave target_divergence null"
+                )
+            self._measure_divergence()
+
+    def _measure_divergence(self) -> None:
+        if self._conf.target_divergence is not None:
+            assert isinstance(self._step, DiscreteSacStep)
+            self._step.measure_divergence_from(self.policy.network)
 
     def start_from(self, saved: Mapping[str, Any]) -> None:
         """Begin with the policy, and with its critics, or by the costs of an imitated policy."""
@@ -169,6 +247,7 @@ class DiscreteSac(MaximumEntropyLearner):
         if self._is_imitated(saved):
             assert isinstance(self._step, DiscreteSacStep)
             self._step.begin_by_costs(self.policy.network[1].module)
+        self._measure_divergence()
 
     def has_new_critics(self, entry: Mapping[str, Any]) -> bool:
         return super().has_new_critics(entry) and not self._is_imitated(entry)

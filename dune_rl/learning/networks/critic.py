@@ -30,10 +30,14 @@ class CriticFeatures(nn.Module):
         self.privileged = Features(self._privileged, architecture) if hidden else None
         self.size = 0 if self.privileged is None else self.privileged.size
 
+    def select_public(self, packed: PackedObservation) -> PackedObservation:
+        """The parts that the policy reads."""
+        return self._whole.select(packed, self._spec)
+
     def encode_public(self, packed: PackedObservation) -> Tensor:
         """The policy's features (..., n) of the parts that it reads."""
         (features,) = self._of_policy
-        return features.encode(self._whole.select(packed, self._spec))
+        return features.encode(self.select_public(packed))
 
     def encode(self, packed: PackedObservation) -> Tensor:
         """What critics read of the observations themselves, (..., n + `size`)."""

@@ -100,7 +100,7 @@ class GradientStep:
         Returns the losses, the entropy coefficient and the entropy, without gradients.
         """
         with torch.autocast(self._device.type, torch.bfloat16, enabled=self._reduced):
-            batch = make_batch(self._critic_features.encode)
+            batch = make_batch(self._encode)
             features = batch.get(FEATURES)
             # The encoder learns from the critics alone, as in Yarats et al. (2021): it is cut off
             # here, and given the gradient of their loss before the actor's adds its own.
@@ -127,6 +127,10 @@ class GradientStep:
         """Whether the policy learns, and the encoder with it, or the critics alone."""
         return True
 
+    def _encode(self, packed: PackedObservation) -> Tensor:
+        """Features (k, n) of observations, for all networks."""
+        return self._critic_features.encode(packed)
+
     def _separate(self, batch: TensorDict) -> TensorDict:
         """The features of actor and critics each under its own key, where they differ."""
         if self._critic_features.size:
@@ -138,7 +142,7 @@ class GradientStep:
     @torch.no_grad()
     def action_values(self, make_batch: MakeBatch) -> Tensor:
         """The smaller of both action values (k,) of the transitions of `make_batch`, on the CPU."""
-        batch = self._separate(make_batch(self._critic_features.encode))
+        batch = self._separate(make_batch(self._encode))
         return self._evaluate_critics(batch).amin(0).squeeze(-1).float().cpu()
 
     def _evaluate_critics(self, batch: TensorDict) -> Tensor:
