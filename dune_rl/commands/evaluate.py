@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from dune_rl.commands import command_line
 from dune_rl.config.commands import EvaluateConf
-from dune_rl.config.compose import compose, override_value
+from dune_rl.config.compose import override_value
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.paths import unused_folder
 from dune_rl.learning.checkpoint import read_policy_file
@@ -59,34 +59,22 @@ def _run_on_folder(parsed: Namespace, action: str) -> None:
 def _compose(parsed: Namespace) -> EvaluateConf:
     """The settings, with those that an episode set determines, and the number of episodes."""
     from dune_rl.config.checks import validate
-    from dune_rl.evaluation.episode_sets.apply import (
-        check_set_overrides,
-        settings_on_set,
-        world_words,
-    )
-    from dune_rl.evaluation.episode_sets.files import read_episode_set
+    from dune_rl.evaluation.episode_sets.apply import compose_on_set
     from dune_rl.evaluation.protocols.settings import check_protocol_overrides, settings_of_protocol
 
-    overrides = list(parsed.overrides)
-    name = override_value(overrides, "set")
-    episode_set = None if name is None else read_episode_set(str(name))
-    saved = _saved_settings(overrides)
-    if episode_set is not None:
-        check_set_overrides(str(name), overrides)
-        if saved is None:
-            overrides += world_words(episode_set)
+    overrides = parsed.overrides
     protocol = override_value(overrides, "protocol")
     if protocol is not None:
-        check_protocol_overrides(str(protocol), parsed.overrides)
-    conf = compose(EvaluateConf, overrides, command_line.config_folders(parsed), saved)
+        check_protocol_overrides(str(protocol), overrides)
+    saved, folders = _saved_settings(overrides), command_line.config_folders(parsed)
+    conf, episode_set = compose_on_set(EvaluateConf, overrides, folders, saved)
     if conf.protocol is not None:
         return settings_of_protocol(conf)
     episodes = conf.episodes
     if episode_set is not None:
-        conf = settings_on_set(conf, episode_set)
         number = episode_set.header.episodes
         if episodes is not None and episodes > number:
-            raise ConfigError(f"set={name} has {number} episodes, fewer than episodes={episodes}")
+            raise ConfigError(f"set={conf.set} has {number} episodes, fewer than episodes={episodes}")
         episodes = number if episodes is None else episodes
     data = {**conf.model_dump(mode="json"), "episodes": episodes or _DEFAULT_EPISODES}
     return validate(EvaluateConf, data)

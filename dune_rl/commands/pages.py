@@ -181,6 +181,7 @@ PAGES: Mapping[str, HelpPage] = {
             ("python -m dune_rl.view +world=inspection view=map", "its map"),
             ("python -m dune_rl.view checkpoint=runs/NAME view=video", "a video of a trained policy"),
             ("python -m dune_rl.view checkpoint=runs/NAME view=map", "its tracks on the map"),
+            ("python -m dune_rl.view checkpoint=runs/NAME view=map set=NAME episode=N", "an evaluated one"),
         ),
         (
             ("view=NAME", "sheet, video, both, orbit or map"),
@@ -188,6 +189,7 @@ PAGES: Mapping[str, HelpPage] = {
             ("policy=NAME", "go_to_goal, planner, oracle, mppi or random, instead of a checkpoint"),
             ("agent=NAME", "agent to follow, such as rover_1; default: the first"),
             ("seed=N", "seed of the episode"),
+            ("set=NAME episode=N", "an episode of a set, by its number there"),
             ("longest_s=S", "largest length of the video"),
             ("width=N height=N", "size of the video"),
             ("episodes=N", "number of episodes on the map"),

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
@@ -12,6 +12,9 @@ from dune_rl.config.compose import compose, override_value
 from dune_rl.config.saved import upgrade_saved
 from dune_rl.learning.checkpoint import read_policy_file
 
+if TYPE_CHECKING:
+    from dune_rl.env.requests import EpisodePlan
+
 
 def run(words: Sequence[str]) -> None:
     parsed = command_line.parse_arguments(words)
@@ -20,13 +23,23 @@ def run(words: Sequence[str]) -> None:
     # A map shows no readings, so it needs no sensors beside the policy's.
     if saved is not None and override_value(parsed.overrides, "view") != "map":
         saved = _with_all_sensors(saved)
-    conf = compose(ViewConf, parsed.overrides, command_line.config_folders(parsed), saved)
+    from dune_rl.evaluation.episode_sets.apply import (
+        compose_on_set,
+        plan_of_set,
+        settings_of_episode,
+    )
+
+    conf, episode_set = compose_on_set(ViewConf, parsed.overrides, command_line.config_folders(parsed), saved)
     if parsed.cfg:
         command_line.print_settings(conf)
         return
+    plan = None
+    if episode_set is not None:
+        conf = settings_of_episode(conf, episode_set, conf.episode)
+        plan = plan_of_set(conf, episode_set)
     if override_value(parsed.overrides, "sensors") is None:
         conf = _drop_odometry_of_legs(conf)
-    _view(conf)
+    _view(conf, plan)
 
 
 def _with_all_sensors(saved: Mapping[str, Any]) -> dict[str, Any]:
@@ -60,12 +73,14 @@ def _drop_odometry_of_legs(conf: ViewConf) -> ViewConf:
 
 
 def _stem(conf: ViewConf) -> str:
-    """What the files are called: the world's name, or that of the file that it was imported from."""
+    """What the files are called: the set's and the episode's name, the world's, or that of its file."""
+    if conf.set is not None:
+        return f"{Path(conf.set).stem}_{conf.episode}"
     path = getattr(conf.world, "path", None)
     return conf.world.name if path is None else f"{conf.world.name}_{Path(path).stem}"
 
 
-def _view(conf: ViewConf) -> None:
+def _view(conf: ViewConf, plan: "EpisodePlan | None") -> None:
     folder = Path(conf.out)
     console = command_line.make_console()
     if conf.view == "map":
@@ -73,11 +88,11 @@ def _view(conf: ViewConf) -> None:
 
         folder.mkdir(parents=True, exist_ok=True)
         command_line.print_world_notes(console, conf)
-        _print_path(console, write_map(conf, folder / f"{_stem(conf)}_map.png", console))
+        _print_path(console, write_map(conf, folder / f"{_stem(conf)}_map.png", console, plan))
         return
     from dune_rl.reporting.views.episode import EpisodeView, write_orbit, write_sheet, write_video
 
-    episode = EpisodeView(conf)
+    episode = EpisodeView(conf, plan)
     try:
         # Only now, when nothing is wrong with the settings.
         folder.mkdir(parents=True, exist_ok=True)
@@ -89,7 +104,7 @@ def _view(conf: ViewConf) -> None:
             _print_note(console, f"Drawing all readings, {conf.after_s:g} s into the episode.")
             _print_path(console, write_sheet(episode, folder / f"{_stem(conf)}_sheet.png"))
         if conf.view in ("video", "both"):
-            path = folder / f"{_stem(conf)}_seed{conf.seed}.mp4"
+            path = folder / f"{_stem(conf) if conf.set else f'{_stem(conf)}_seed{conf.seed}'}.mp4"
             _print_path(console, write_video(episode, path, console))
     finally:
         episode.close()

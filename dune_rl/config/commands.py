@@ -46,7 +46,9 @@ class ViewConf(EnvConf):
     checkpoint: str | None = None
     policy: BuiltInPolicy | None = None
     agent: str | None = None
+    set: str | None = None
     seed: int = Field(0, ge=0)
+    episode: int = Field(0, ge=0)
     after_s: float = Field(3.0, ge=0.0)
     longest_s: float = Field(30.0, gt=0.0)
     frames_per_s: float = Field(10.0, gt=0.0, le=1_000.0)
@@ -66,7 +68,7 @@ class ViewConf(EnvConf):
     @model_validator(mode="after")
     def _a_map_is_of_one_world(self) -> Self:
         drawn = [name for name in ("world_seed", "layout_seed") if name in self.randomisation.distributions]
-        if self.view == "map" and drawn and (self.checkpoint or self.policy):
+        if self.view == "map" and drawn and self.set is None and (self.checkpoint or self.policy):
             raise ValueError(
                 f"view=map shows one world, and randomisation.{drawn[0]} draws another for each episode: "
                 "set randomisation=none"

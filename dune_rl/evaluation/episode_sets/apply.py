@@ -10,13 +10,13 @@ from pydantic import TypeAdapter
 from dune_rl.config.agents import SHARED
 from dune_rl.config.build import build_robot, make_simulation
 from dune_rl.config.checks import validate
-from dune_rl.config.compose import compose_environment
+from dune_rl.config.compose import compose, compose_environment, override_value
 from dune_rl.config.schema import EnvConf
 from dune_rl.config.shorthands import replace_actors
 from dune_rl.core.errors import ConfigError, WorldError
 from dune_rl.env.distributions import Choice, WholeNumbers
 from dune_rl.env.requests import AgentRequest, EpisodePlan, PlannedEpisode
-from dune_rl.evaluation.episode_sets.files import EpisodeSet
+from dune_rl.evaluation.episode_sets.files import EpisodeSet, read_episode_set
 from dune_rl.evaluation.episode_sets.world_files import world_files
 from dune_rl.worlds.registry import WORLDS
 
@@ -52,6 +52,26 @@ def check_set_overrides(name: str, overrides: Sequence[str]) -> None:
             raise ConfigError(f"set={name} determines world and actors; leave {word} out")
         if key.partition(".")[0] in _ONE_ROBOT:
             raise ConfigError(f"set={name} is for one robot; take robot=NAME in place of {word}")
+
+
+def compose_on_set(
+    model: type[Model],
+    overrides: Sequence[str],
+    config_dirs: Sequence[str],
+    saved: Mapping[str, Any] | None,
+) -> tuple[Model, EpisodeSet | None]:
+    """As `compose`, with what the set of an override `set=NAME` determines, and this set, if there is one.
+
+    Raises ConfigError if there is no such set, or the settings do not fit it.
+    """
+    name = override_value(overrides, "set")
+    if name is None:
+        return compose(model, overrides, config_dirs, saved), None
+    episode_set = read_episode_set(str(name))
+    check_set_overrides(str(name), overrides)
+    words = world_words(episode_set) if saved is None else []
+    conf = compose(model, [*overrides, *words], config_dirs, saved)
+    return settings_on_set(conf, episode_set), episode_set
 
 
 def world_words(episode_set: EpisodeSet) -> list[str]:
@@ -117,6 +137,20 @@ def plan_of_set(conf: EnvConf, episode_set: EpisodeSet) -> EpisodePlan:
     files = world_files(episode_set)
     worlds = [conf.world.model_copy(update={"path": str(path)}) for path in files] if len(files) > 1 else []
     return EpisodePlan([PlannedEpisode(*each) for each in planned], worlds, episode_set.header.bounds)
+
+
+def settings_of_episode(conf: Model, episode_set: EpisodeSet, number: int) -> Model:
+    """`conf`, which is on a set, with the world of one of its episodes as the configured one.
+
+    Raises ConfigError if the set has no episode of that number.
+    """
+    if number >= len(episode_set.episodes):
+        raise ConfigError(f"set={episode_set.name} has the episodes 0 to {len(episode_set.episodes) - 1}")
+    seed, files = episode_set.episodes[number].world_seed, world_files(episode_set)
+    if seed is None:
+        return conf
+    change = {"path": str(files[seed])} if files else {"seed": seed}
+    return conf.model_copy(update={"world": conf.world.model_copy(update=change)})
 
 
 def footprint_radius_m(conf: EnvConf) -> float:

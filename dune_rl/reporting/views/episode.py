@@ -18,6 +18,7 @@ from dune_rl.core.files import write_atomically
 from dune_rl.core.suggestions import advise
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.pictures import Pictures
+from dune_rl.env.requests import EpisodePlan
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.learning.group_policy import Policy
 from dune_rl.learning.policies import built_in_policy
@@ -47,11 +48,11 @@ def find_agent(simulation: VectorSimulation, name: str | None) -> tuple[AgentGro
 
 
 class EpisodeView:
-    """An episode of `conf`, with pictures from behind one agent and that agent's readings."""
+    """An episode of `conf`, or of a `plan`, with pictures from behind one agent and that agent's readings."""
 
-    def __init__(self, conf: ViewConf) -> None:
+    def __init__(self, conf: ViewConf, plan: EpisodePlan | None = None) -> None:
         self.conf = conf
-        self._env = make_torchrl_env(conf, 1, conf.seed)
+        self._env = make_torchrl_env(conf, 1, conf.seed, plan=plan)
         self.simulation = self._env.simulation
         try:
             self.group, self._row = find_agent(self.simulation, conf.agent)
@@ -65,7 +66,7 @@ class EpisodeView:
 
     def run(self) -> Iterator[bool]:
         """Run one episode; yields whether it has ended, at its start and after each step."""
-        self.simulation.reseed(self.conf.seed)
+        self.simulation.reseed(self.conf.seed, self.conf.episode)
         policy = self._make_policy()
         observation = self._env.reset()
         self._recorder.reset(0)

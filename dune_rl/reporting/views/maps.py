@@ -14,6 +14,7 @@ from dune_rl.core.files import write_atomically
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.assembly import build_groups
 from dune_rl.env.domain_randomizer import DomainRandomizer
+from dune_rl.env.requests import EpisodePlan
 from dune_rl.env.scene_manager import SceneManager
 from dune_rl.env.starts.episode_start import EpisodeStarter
 from dune_rl.env.starts.placement import draw_starts
@@ -33,9 +34,13 @@ _MOST_SCENES = 16
 _APART = 0.15
 
 
-def write_map(conf: ViewConf, path: Path, console: Console) -> Path:
-    """A map of the world of `conf` (PNG); with a checkpoint or policy, also the tracks of its episodes."""
-    content = map_content(conf, drive_episodes(conf, console) if conf.checkpoint or conf.policy else [])
+def write_map(conf: ViewConf, path: Path, console: Console, plan: EpisodePlan | None = None) -> Path:
+    """A map of the world of `conf` (PNG); with a checkpoint or policy, also the tracks of its episodes.
+
+    With a `plan`, its episode `conf.episode` is the only one.
+    """
+    tracks = drive_episodes(conf, console, plan) if conf.checkpoint or conf.policy else []
+    content = map_content(conf, tracks, plan)
     figure = draw_site_map(content, title(conf), subtitle(conf), conf.dpi)
     with write_atomically(path) as temporary:
         # Without the drawing library's version, the file stays the same when that changes.
@@ -43,8 +48,8 @@ def write_map(conf: ViewConf, path: Path, console: Console) -> Path:
     return path
 
 
-def map_content(conf: ViewConf, tracks: list[Track]) -> MapContent:
-    """Content of the map: the episodes of `tracks`, or else examples with distant starts and goals."""
+def map_content(conf: ViewConf, tracks: list[Track], plan: EpisodePlan | None = None) -> MapContent:
+    """Content of the map: an episode of a `plan`, those of `tracks`, or examples with distant goals."""
     setups = group_setups(conf)
     world = build_world(conf.world)
     nothing_drawn, engine = DomainRandomizer.none(world, conf.weather), scene_maker(conf.physics.backend)
@@ -60,7 +65,9 @@ def map_content(conf: ViewConf, tracks: list[Track]) -> MapContent:
     def place_robots(episode: int) -> list[Placement]:
         return draw_starts(groups, world, conf.seed, episode)
 
-    if tracks:
+    if plan is not None:
+        episodes = {conf.episode: _planned(plan, conf.episode)}
+    elif tracks:
         episodes = {number: place_robots(number) for number in sorted({track.episode for track in tracks})}
     else:
         xmin, xmax, ymin, ymax = spawner.region
@@ -79,6 +86,11 @@ def map_content(conf: ViewConf, tracks: list[Track]) -> MapContent:
     )
 
 
+def _planned(plan: EpisodePlan, episode: int) -> list[Placement]:
+    ways = [(one.start, one.goal) for one in plan.of(episode).request.values()]
+    return [Placement(start[0], start[1], start[2] or 0.0, *goal) for start, goal in ways if start and goal]
+
+
 def goal_distance_m(group: AgentGroup) -> float:
     """Distance at which a goal counts as reached [m]; 0 where none does."""
     terminations = {} if group.setup.task is None else group.setup.task.terminations
@@ -95,25 +107,27 @@ def _example_paths(groups: tuple[AgentGroup, ...]) -> list[Array]:
 
 
 @no_grad()
-def drive_episodes(conf: ViewConf, console: Console) -> list[Track]:
-    """Run the first episodes of the seed; returns the tracks of all agents."""
-    env = make_torchrl_env(_with_needed_sensors(conf), min(conf.episodes, _MOST_SCENES), conf.seed)
+def drive_episodes(conf: ViewConf, console: Console, plan: EpisodePlan | None = None) -> list[Track]:
+    """Run episodes of the seed, or of a `plan`, from `conf.episode` on; returns the tracks of all agents."""
+    last = conf.episode + (conf.episodes if plan is None else 1)
+    scenes = min(last - conf.episode, _MOST_SCENES)
+    env = make_torchrl_env(_with_needed_sensors(conf), scenes, conf.seed, plan=plan)
     simulation = env.simulation
     tracks: dict[int, list[Track]] = {}
     try:
         policy = policy_factory(conf, env)()
         with Progress(console=console, disable=not console.is_terminal, transient=True) as bar:
-            task = bar.add_task("driving", total=conf.episodes)
-            env.set_seed(conf.seed)
+            task = bar.add_task("driving", total=last - conf.episode)
+            env.start_at(conf.seed, conf.episode)
             observation = env.reset()
             recorder = TrackRecorder(simulation)
-            while len(tracks) < conf.episodes:
+            while len(tracks) < last - conf.episode:
                 after = env.step(policy(observation))
                 recorder.update()
                 done = np.flatnonzero(after["next", "done"].reshape(-1).numpy()).tolist()
                 for scene in done:
                     episode = int(simulation.episodes[scene])
-                    if episode < conf.episodes:
+                    if episode < last:
                         tracks[episode] = recorder.tracks(scene)
                 observation = env.maybe_reset(env.step_mdp(after))
                 for scene in done:
@@ -139,7 +153,7 @@ def title(conf: ViewConf) -> str:
 
 
 def subtitle(conf: ViewConf) -> str:
-    """The policy, the seed of the episodes, and the settings of the world."""
+    """The policy, the seed or the set of the episodes, and the settings of the world."""
     chosen = conf.world.model_dump(exclude={"name", "path"}, exclude_none=True)
     settings = ", ".join(f"{name} {_plain(value)}" for name, value in chosen.items() if value not in ((), []))
     policy: str | None = conf.policy
@@ -147,7 +161,8 @@ def subtitle(conf: ViewConf) -> str:
         path = Path(conf.checkpoint)
         policy = f"policy of {path.name if path.suffix == '' else path.parent.name or path.stem}"
     head = f"{policy}, " if policy else ""
-    return f"{head}episodes of seed {conf.seed}" + (f"; world: {settings}" if settings else "")
+    shown = f"episode {conf.episode} of {conf.set}" if conf.set else f"episodes of seed {conf.seed}"
+    return head + shown + (f"; world: {settings}" if settings else "")
 
 
 def _plain(value: object) -> str:
