@@ -5,7 +5,6 @@ from functools import cached_property
 
 import numpy as np
 
-from dune_rl.behaviours.drivers.context import Unicycle
 from dune_rl.env.body import Body, SceneBodies
 from dune_rl.env.latency import Latency
 from dune_rl.env.proximity import Outline
@@ -22,6 +21,7 @@ from dune_rl.sensors.wheels import DriveGeometry
 from dune_rl.state.body_description import BodyDescription
 from dune_rl.state.sensor_carrier import SensorCarrier, WheelMotion
 from dune_rl.state.state import EnergyState, JointState, Motion
+from dune_rl.state.unicycle import Unicycle
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.world import World
 

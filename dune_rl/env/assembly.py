@@ -1,6 +1,7 @@
 """Builds the agent groups of a simulation from their setups."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 from dune_rl.behaviours.paths.follower import FollowPath, PathConf, PathFollower
@@ -201,7 +202,7 @@ def _measuring_scan(
 def _context(group: AgentGroup, neighbours: Sequence[MovingMesh], scenes: SceneManager) -> SensorContext:
     return sensor_context(
         scenes.worlds,
-        group.body.carrier(),
+        replace(group.body.carrier(), vehicle=group.body.vehicle()),
         neighbours,
         num_rows=len(scenes.worlds) * group.count,
         step_s=scenes.conf.control_step_s,

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 
-from dune_rl.behaviours.drivers.context import Unicycle
 from dune_rl.env.proximity import Outline
 from dune_rl.env.randomised_properties import EpisodeVariation
 from dune_rl.geometry.arrays import Array, Counts, Flags
@@ -14,6 +13,7 @@ from dune_rl.robots.robot import BodyMotion
 from dune_rl.state.body_description import BodyDescription
 from dune_rl.state.sensor_carrier import SensorCarrier
 from dune_rl.state.state import EnergyState, Motion
+from dune_rl.state.unicycle import Unicycle
 from dune_rl.worlds.world import World
 
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from dune_rl.behaviours.drivers.context import Unicycle
 from dune_rl.bodies.motion import MOTION_MODELS, Step, stopping_distance
 from dune_rl.bodies.settings import BodySettings
 from dune_rl.env.body import Body, SceneBodies
@@ -23,6 +22,7 @@ from dune_rl.robots.robot import BodyMotion, rectangle_outline
 from dune_rl.state.body_description import BodyDescription
 from dune_rl.state.sensor_carrier import SensorCarrier
 from dune_rl.state.state import Motion
+from dune_rl.state.unicycle import Unicycle
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 
 Scenes = Counts

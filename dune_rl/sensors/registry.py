@@ -18,6 +18,7 @@ from dune_rl.state.state import GroupState, State
 _OWN = {
     "agent_tracks": "perception.agent_tracks:AgentTracks",
     "camera": "camera_sensor:CameraSensor",
+    "command_costs": "perception.command_costs:CommandCosts",
     "currents": "wheels:Currents",
     "depth_strip": "depth_strip:DepthStrip",
     "encoders": "wheels:Encoders",

@@ -18,7 +18,8 @@ from dune_rl.state.state import GroupState, Motion, State
 
 # Sensors of robots that know where they are by their receiver.
 _NEED_POSITION = (
-    *("goal", "goal_direction", "height_scan", "nearest_agent", "neighbours", "position", "way_left"),
+    *("command_costs", "goal", "goal_direction", "height_scan", "nearest_agent", "neighbours", "position"),
+    "way_left",
 )
 
 # With realism of their own these are the truth with its faults, and not what follows from the instruments.

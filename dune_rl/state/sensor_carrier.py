@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from dune_rl.geometry.arrays import Array
+from dune_rl.state.unicycle import Unicycle
 
 Position = tuple[float, float, float]
 
@@ -43,7 +44,7 @@ class SensorCarrier:
     left and up of its origin [m]), for sensors without a mount of their own; `camera_pitch_deg` tilts cameras
     down. Its origin is `standing_height_m` above level ground. `num_joints` counts the joints of its driven
     wheels, or of its legs, and `drive` is the geometry of its wheels, None without wheels. `max_speed_mps` is
-    its top speed.
+    its top speed, `vehicle` the model of a body that is driven by speed and heading.
     """
 
     scanner_b: Position
@@ -54,3 +55,4 @@ class SensorCarrier:
     max_speed_mps: float = 10.0
     num_joints: int = 0
     drive: WheelMotion | None = None
+    vehicle: Unicycle | None = None

@@ -5,11 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from states import STEP_S, group_state, motion_of
 
-from dune_rl.behaviours.drivers.context import DriverContext, Unicycle
+from dune_rl.behaviours.drivers.context import DriverContext
 from dune_rl.geometry.frames import wrap_angle
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.sensors.lidar import LidarConf, beam_angles
 from dune_rl.state import GoalState, GroupState, State
+from dune_rl.state.unicycle import Unicycle
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.world import World
 

@@ -7,12 +7,13 @@ import numpy as np
 from states import group_state, motion_of
 from yards import yard
 
-from dune_rl.behaviours.drivers.context import BoundBehaviour, DriverContext, Unicycle
+from dune_rl.behaviours.drivers.context import BoundBehaviour, DriverContext
 from dune_rl.behaviours.registry import BEHAVIOURS
 from dune_rl.bodies.person import PersonConf
 from dune_rl.env.kinematic import KinematicBody
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.state import BodyDescription, EpisodeState, GroupState, Motion, State
+from dune_rl.state.unicycle import Unicycle
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.world import World
 

@@ -16,8 +16,8 @@ from dune_rl.learning.discrete_sac.settings import DiscreteSacConf
 from dune_rl.learning.group_policy import Deterministic
 from dune_rl.learning.learners import require_same_networks
 from dune_rl.learning.networks.commands import command_grid, make_command_network
-from dune_rl.learning.networks.settings import CommandGridConf
 from dune_rl.learning.policy_spec import PolicySpec
+from dune_rl.state.command_grid import CommandGridConf
 
 SPEC = PolicySpec({"goal": 2}, (-1.0, -1.0), (1.0, 1.0))
 GRID = CommandGridConf(speeds=2, reverse_speeds=1, headings=3)

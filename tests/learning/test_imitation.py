@@ -21,10 +21,10 @@ from dune_rl.learning.imitation.learner import Imitation
 from dune_rl.learning.imitation.settings import ImitationConf
 from dune_rl.learning.imitation.teacher import TEACHER_COSTS, TeacherLabels
 from dune_rl.learning.networks.commands import command_grid
-from dune_rl.learning.networks.settings import CommandGridConf
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.settings import CollectorConf, EvaluationConf
 from dune_rl.learning.trainer import Trainer
+from dune_rl.state.command_grid import CommandGridConf
 
 WORDS = ("actors=walkers", "task.terminations.time_limit.max_steps=80")
 SPEC = PolicySpec({"goal": 2, "lidar": 36}, (-1.0, -3.14), (1.0, 3.14), ("lidar",))

@@ -1,4 +1,4 @@
-"""What a driver may know of the body that it drives: a unicycle model, the LiDAR, and the readings."""
+"""What a driver may know of the body that it drives: its model, the LiDAR, and the readings."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -7,28 +7,11 @@ from dune_rl.core.errors import ConfigError
 from dune_rl.geometry.arrays import Array
 from dune_rl.sensors.lidar import LidarConf
 from dune_rl.sensors.sensor import Reading
+from dune_rl.state.unicycle import Unicycle
 
 # Of a time step [s] and a number of steps T: places (N, K, T, 2) [m], NaN of neighbours whose ways are not
 # fixed.
 Forecast = Callable[[float, int], Array]
-
-
-@dataclass(frozen=True)
-class Unicycle:
-    """Model of a body with (speed, heading) actions, and its rectangle seen from above.
-
-    A commanded heading e [rad] gives the yaw rate `heading_gain_per_s` * e, at most `max_yaw_rate_radps`.
-    `turning_radius_m` is that of the smallest circle, 0 for a body that turns on the spot.
-    """
-
-    min_speed_mps: float
-    max_speed_mps: float
-    max_yaw_rate_radps: float
-    heading_gain_per_s: float
-    length_m: float
-    width_m: float
-    footprint_radius_m: float
-    turning_radius_m: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,8 @@
 import numpy as np
 
 from dune_rl.behaviours.drivers.planner import Planner
-from dune_rl.behaviours.drivers.window_loops import STEP_S, STEPS
 from dune_rl.geometry.arrays import Array
+from dune_rl.sensors.perception.dynamic_window import STEP_S, STEPS
 
 # A forecast that does not begin this near to where an actor is now is of one that is not there [m].
 _THERE_M = 1.0

@@ -8,23 +8,21 @@ from pydantic import Field
 from dune_rl.behaviours.drivers.context import BoundBehaviour
 from dune_rl.behaviours.drivers.route_map import plan_routes
 from dune_rl.behaviours.drivers.stuck_recovery import StuckRecovery
-from dune_rl.behaviours.drivers.window_loops import (
+from dune_rl.geometry.arrays import Array, Flags
+from dune_rl.geometry.frames import POSE_COLUMNS, wrap_angle
+from dune_rl.sensors.perception.dynamic_window import (
+    RESPONSE,
     STEPS,
     choose_commands,
     predict_actors,
     score_commands,
+    window_vehicle,
 )
-from dune_rl.geometry.arrays import Array, Flags
-from dune_rl.geometry.frames import POSE_COLUMNS, wrap_angle
 from dune_rl.state.state import GroupState, State
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 
-_ACCELERATION_MPS2 = 3.0
-_YAW_ACCELERATION_RADPS2 = 4.0
 # Routes lead through gaps with this room on either side.
 _SIDE_ROOM_M = 0.08
-# Three discs, about the middles of the thirds of the footprint's length, cover its rectangle.
-_DISCS = 3
 # Time constant of the filter of yaw rates [s].
 _FILTER_S = 0.2
 # A body that turns by more within a step has turned round, and goes straight on.
@@ -121,21 +119,10 @@ class Planner(BoundBehaviour):
         )
         waits = apart < vehicle.footprint_radius_m + self._actor_radius_m + 1.0
         self._plan(state, group, begins | self._recovery.update(poses, waits, vehicle.length_m, step_s))
-        reach = vehicle.length_m / _DISCS
-        limits = (
-            max(vehicle.min_speed_mps, -self._speed_mps),
-            min(vehicle.max_speed_mps, self._speed_mps),
-            vehicle.max_yaw_rate_radps,
-            vehicle.turning_radius_m,
-            reach,
-            float(np.hypot(reach / 2, vehicle.width_m / 2)),
-            vehicle.footprint_radius_m,
-            self._margin_m,
-        )
         return (
             poses, twists, self._grids, self._fields, self._waypoints, self._clearances, actors,
-            self._predict(actors), group.goal.position_w, limits,
-            (_ACCELERATION_MPS2, _YAW_ACCELERATION_RADPS2), self._recovery.recovering,
+            self._predict(actors), group.goal.position_w,
+            window_vehicle(vehicle, self._margin_m, self._speed_mps), RESPONSE, self._recovery.recovering,
         )  # fmt: skip
 
     def _predict(self, actors: Array) -> Array:

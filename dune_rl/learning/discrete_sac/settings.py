@@ -4,8 +4,8 @@ from typing import Literal
 
 from pydantic import Field
 
-from dune_rl.learning.networks.settings import CommandGridConf
 from dune_rl.learning.sac.settings import MaximumEntropyConf
+from dune_rl.state.command_grid import CommandGridConf
 
 
 class DiscreteSacConf(MaximumEntropyConf):

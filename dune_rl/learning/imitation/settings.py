@@ -5,7 +5,8 @@ from typing import Literal
 from pydantic import Field, field_validator
 
 from dune_rl.behaviours.registry import BEHAVIOURS
-from dune_rl.learning.networks.settings import CommandGridConf, ReplayingConf
+from dune_rl.learning.networks.settings import ReplayingConf
+from dune_rl.state.command_grid import CommandGridConf
 
 
 class ImitationConf(ReplayingConf):

@@ -10,8 +10,9 @@ from torchrl.envs.utils import ExplorationType, exploration_type
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.learning.networks.policy import FEATURES, Architecture, Features, perceptron
-from dune_rl.learning.networks.settings import CommandGridConf
 from dune_rl.learning.policy_spec import PolicySpec
+from dune_rl.state.command_grid import CommandGridConf
+from dune_rl.state.command_grid import command_grid as grid_of_commands
 
 _SPEED_AND_HEADING = 2
 
@@ -23,13 +24,8 @@ def command_grid(spec: PolicySpec, conf: CommandGridConf) -> Tensor:
             f"a grid of commands needs an action of speed and heading, and this one has {spec.action_size} "
             "components; choose another robot.action, or another algorithm"
         )
-    forward = torch.linspace(0.0, spec.high[0], conf.speeds + 1)
-    backward = torch.linspace(spec.low[0], 0.0, conf.reverse_speeds + 1)[:-1]
-    speeds = torch.cat([backward[backward < 0.0], forward])
-    # 0 exactly in the middle: straight on.
-    share = (torch.arange(conf.headings) - conf.headings // 2) / (conf.headings // 2)
-    headings = min(conf.max_heading_rad, spec.high[1]) * share * share.abs()
-    return torch.cartesian_prod(speeds, headings)
+    within = conf.model_copy(update={"max_heading_rad": min(conf.max_heading_rad, spec.high[1])})
+    return torch.as_tensor(grid_of_commands(within, spec.low[0], spec.high[0]), dtype=torch.float32)
 
 
 class CommandHead(nn.Module):

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal, Self
 
-from pydantic import BeforeValidator, Field, SerializeAsAny, field_validator, model_validator
+from pydantic import BeforeValidator, Field, SerializeAsAny, model_validator
 
 from dune_rl.core.settings import Settings
 from dune_rl.learning.networks.registry import EncoderConf, parse_encoder
@@ -61,19 +61,3 @@ class ActorCriticConf(NetworkConf):
     batch_size: int = Field(512, ge=1)
     gamma: float = Field(0.99, ge=0, lt=1)
     reward_scale: float = Field(1.0, gt=0, description="multiplies the reward in the loss, never in the logs")
-
-
-class CommandGridConf(Settings):
-    """Grid of commands: every speed with every relative heading, which are closer together near 0."""
-
-    speeds: int = Field(8, ge=1, le=64, description="forward speeds beside 0, evenly spaced")
-    reverse_speeds: int = Field(4, ge=0, le=64, description="evenly spaced, where the body can reverse")
-    headings: int = Field(15, ge=3, le=65, description="an odd number, as 0 is one of them")
-    max_heading_rad: float = Field(1.0, gt=0.0, le=3.15, description="largest relative heading [rad]")
-
-    @field_validator("headings")
-    @classmethod
-    def _odd(cls, value: int) -> int:
-        if value % 2 == 0:
-            raise ValueError(f"must be odd, as the heading 0 is one of them (got {value})")
-        return value

@@ -48,8 +48,8 @@ class AgentTracks:
     are in the body frame. The others are the velocity of what each segment of the scan sees, away from the
     robot and counter-clockwise, 0 where nothing moves.
 
-    `tracker` reads all beams, and has the odometry by which scans are compared; `ranges` (N, n_segments) [m],
-    `sees` and `moves` (N, n_segments) are of the latest scan.
+    `tracker` reads all `beams` (N, n_beams) [m], and has the odometry by which scans are compared; `ranges`
+    (N, n_segments) [m], `sees` and `moves` (N, n_segments) are of the latest scan.
     """
 
     def __init__(self, name: str, context: SensorContext, conf: AgentTracksConf) -> None:
@@ -98,7 +98,7 @@ class AgentTracks:
     def measure(self, now: GroupState, state: State) -> None:
         """Take the scan of a control step."""
         self._look()
-        beams = self._sensor.ranges.astype(np.float64)
+        beams = self.beams
         yaw = self._heading()
         turned = wrap_angle(yaw - self._yaw)
         self._yaw = yaw
@@ -112,6 +112,17 @@ class AgentTracks:
         self._velocities = np.take_along_axis(each, nearest, axis=2)[:, :, 0]
         self.moves = np.abs(self._velocities).max(axis=2) > 0.0
         self._nearest = self._nearest_tracks()
+
+    @property
+    def beams(self) -> Array:
+        """The latest ranges of all beams (N, n_beams) [m]."""
+        return self._sensor.ranges.astype(np.float64)
+
+    @property
+    def moving_beams(self) -> Flags:
+        """Which beams (N, n_beams) meet what moves."""
+        moves: Flags = np.abs(self.tracker.velocities).max(axis=2) > 0.0
+        return moves
 
     def goals(self) -> Array:
         """The goals (N, 2) [m] in the robots' frames, by the reading."""

@@ -43,6 +43,7 @@ class WayLeft(VectorSensor):
     """The reading `name`, (N, radii * directions) [m]: the way left from points around minus that from here.
 
     Circle after circle, counter-clockwise, the first point straight behind the robot.
+    `tracks` and `low_obstacles` are the sensors that it reads.
     """
 
     def __init__(self, name: str, context: SensorContext, conf: WayLeftConf) -> None:
@@ -53,14 +54,14 @@ class WayLeft(VectorSensor):
             raise ConfigError(
                 f"sensors.{name}.tracks must be the name of a sensor agent_tracks (got {conf.tracks!r})"
             )
-        self._tracks = tracks
+        self.tracks = tracks
         low = None if conf.low_obstacles is None else context.sensor_of(conf.low_obstacles)
         if low is not None and not isinstance(low, LowObstacles):
             raise ConfigError(
                 f"sensors.{name}.low_obstacles must be the name of a sensor low_obstacles "
                 f"(got {conf.low_obstacles!r})"
             )
-        self._obstacles = low
+        self.low_obstacles = low
         angles = np.arange(conf.directions) * (2 * np.pi / conf.directions) - np.pi
         around = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
         self._points = np.concatenate([radius * around for radius in conf.radii_m])
@@ -69,7 +70,7 @@ class WayLeft(VectorSensor):
     def begin(self, mask: Flags, now: GroupState, state: State) -> None:
         """Begin the maps of the agents in `mask` (N,) anew, for which the ways are straight."""
         self.map.forget(mask)
-        goals = self._tracks.goals()
+        goals = self.tracks.goals()
         straight = (
             np.linalg.norm(goals[:, None] - self._points, axis=2) - np.linalg.norm(goals, axis=1)[:, None]
         )
@@ -78,8 +79,8 @@ class WayLeft(VectorSensor):
         self._reading = np.where(mask[:, None], self._reading, before)
 
     def measure(self, now: GroupState, state: State) -> None:
-        tracks, goals = self._tracks, self._tracks.goals()
-        low = None if self._obstacles is None else self._obstacles.map
+        tracks, goals = self.tracks, self.tracks.goals()
+        low = None if self.low_obstacles is None else self.low_obstacles.map
         self.map.update(tracks.tracker.poses, tracks.ranges, tracks.sees, tracks.moves, goals, low)
         found = np.empty((len(goals), len(self._points)), np.float32)
         _ways_around(tracks.tracker.poses, self.map.ways, self.map.origins, self._points, found)

@@ -1,18 +1,24 @@
 """The dynamic-window follower's loops over rows, commands and times, compiled.
 
-`vehicle` is (lowest speed [m/s], highest, largest yaw rate [rad/s], smallest turning radius [m], distance
-[m] of the outer discs from the origin, the discs' radius [m], radius of the circle round all [m], margin
-[m] beside static obstacles).
+`vehicle`, of `window_vehicle`, is (lowest speed [m/s], highest, largest yaw rate [rad/s], smallest turning
+radius [m], distance [m] of the outer discs from the origin, the discs' radius [m], radius of the circle round
+all [m], margin [m] beside static obstacles).
 `response` is (largest acceleration [m/s²], largest yaw acceleration [rad/s²]). A grid is (x [m] and y of its
 first cell's centre, cells per metre, number of rows, number of columns), its values row after row.
 """
 
+import math
 from typing import Any
 
 import numpy as np
 
 from dune_rl.geometry.compiled import compile_function
+from dune_rl.state.unicycle import Unicycle
 
+# `response`: how fast a body follows commands.
+RESPONSE = 3.0, 4.0
+# Three discs, about the middles of the thirds of the footprint's length, cover its rectangle.
+_DISCS = 3
 _SPEEDS = 9
 _REVERSE_SPEEDS = 4
 _YAW_RATES = 15
@@ -38,6 +44,21 @@ _TURN_COST = 0.05
 # Facing away from the route is worth twice this.
 _FACING_M = 0.7
 _ARRIVED_M = 0.3
+
+
+def window_vehicle(vehicle: Unicycle, margin_m: float, speed_mps: float = math.inf) -> tuple[float, ...]:
+    """The numbers that the loops read of a vehicle, which is to be no faster than `speed_mps`."""
+    reach = vehicle.length_m / _DISCS
+    return (
+        max(vehicle.min_speed_mps, -speed_mps),
+        min(vehicle.max_speed_mps, speed_mps),
+        vehicle.max_yaw_rate_radps,
+        vehicle.turning_radius_m,
+        reach,
+        math.hypot(reach / 2, vehicle.width_m / 2),
+        vehicle.footprint_radius_m,
+        margin_m,
+    )
 
 
 @compile_function

@@ -1,0 +1,227 @@
+"""The sensor of what each command of a grid would cost, by a look ahead over what the robot has seen."""
+
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from dune_rl.core.errors import ConfigError
+from dune_rl.geometry.arrays import Array, Flags
+from dune_rl.geometry.compiled import compile_function
+from dune_rl.sensors.context import SensorContext
+from dune_rl.sensors.lidar import beam_angles
+from dune_rl.sensors.perception.dynamic_window import (
+    RESPONSE,
+    STEPS,
+    predict_actors,
+    score_commands,
+    window_vehicle,
+)
+from dune_rl.sensors.perception.local_map import way_left
+from dune_rl.sensors.perception.way_left import WayLeft
+from dune_rl.sensors.sensor import Reading, VectorSensor
+from dune_rl.sensors.settings import SensorSettings
+from dune_rl.state.command_grid import CommandGridConf, command_grid
+from dune_rl.state.state import GroupState, State
+
+# A square of so many cells around the robot: 6 m.
+_CELL_M, _CELLS = 0.0625, 96
+# Obstacles farther than this from a place do not matter there, and returns from farther are left out [m].
+_FAR_M, _FARTHEST_M = 0.8, 4.0
+# Half the width of a low obstacle's cell.
+_LOW_RADIUS_M = 0.05
+# A waypoint is the cell with the least way left on a circle of this radius [m].
+_AHEAD_M = 0.8
+# Radius of the circle that stands for what moves, and where it is if there is nothing [m].
+_MOVER_RADIUS_M, _NOWHERE_M = 0.35, 1e4
+# Room that commands should keep beside obstacles [m].
+_MARGIN_M = 0.1
+
+
+class CommandCostsConf(SensorSettings):
+    """What each command of a grid would cost, by simulating it for 2.5 s over what the robot has seen.
+
+    It is the dynamic window of the driver `planner` with readings in place of the truth: the returns of the
+    LiDAR, low obstacles, tracks, and the way left.
+    """
+
+    sensor: Literal["command_costs"] = "command_costs"
+    realism: None = Field(None, description="none of its own: that of what it reads")
+    way_left: str = Field("way_left", description="name of the sensor whose ways, tracks and scans it takes")
+    commands: CommandGridConf = CommandGridConf()
+    max_cost: float = Field(8.0, gt=0.0, le=100.0, description="of a command above the best one's [m]")
+
+
+class CommandCosts(VectorSensor):
+    """The reading `name`, (N, C) [m of level way]: the cost of each command above that of the cheapest.
+
+    The commands are those of `command_grid`, speed after speed. The look ahead takes place when it is read.
+    """
+
+    def __init__(self, name: str, context: SensorContext, conf: CommandCostsConf) -> None:
+        vehicle = context.carrier.vehicle
+        if vehicle is None:
+            raise ConfigError(f"sensors.{name}: the body is not driven by its speed and heading; disable it")
+        way = context.sensor_of(conf.way_left)
+        if not isinstance(way, WayLeft):
+            raise ConfigError(f"sensors.{name}.way_left must be the name of a sensor way_left")
+        commands = command_grid(conf.commands, vehicle.min_speed_mps, vehicle.max_speed_mps)
+        size = len(commands)
+        super().__init__(name, context.num_rows, np.zeros(size), np.full(size, conf.max_cost))
+        self._cap, self._way, self._tracks = conf.max_cost, way, way.tracks
+        self._velocity = context.reading_of("velocity")
+        self._bearings = np.ascontiguousarray(beam_angles(self._tracks.lidar))
+        most = vehicle.max_yaw_rate_radps
+        turns = np.clip(commands[:, 1] * vehicle.heading_gain_per_s, -most, most)
+        self._commands = np.column_stack([commands[:, 0], turns])
+        self._limits = window_vehicle(vehicle, _MARGIN_M)
+        # The cheapest command of the last look ahead.
+        self._likely = np.zeros(context.num_rows, np.int64)
+        cells = context.num_rows, _CELLS * _CELLS
+        self._grids = np.zeros((context.num_rows, 5))
+        self._fields, self._clearances = np.zeros((2, *cells), np.float32)
+        self._waypoints = np.zeros(cells, np.int32)
+        self._circle = _circle()
+        self._begins, self._is_due = np.ones(context.num_rows, bool), True
+
+    def begin(self, mask: Flags, now: GroupState, state: State) -> None:
+        self._begins, self._is_due = self._begins | mask, True
+
+    def measure(self, now: GroupState, state: State) -> None:
+        self._begins, self._is_due = np.zeros_like(self._begins), True
+
+    def read(self) -> dict[str, Reading]:
+        """The latest reading."""
+        if self._is_due:
+            self._look_ahead()
+            self._is_due = False
+        return super().read()
+
+    def _look_ahead(self) -> None:
+        tracks, way = self._tracks, self._way
+        tracker, low = tracks.tracker, way.low_obstacles
+        poses = tracker.poses.copy()
+        num = len(poses)
+        ranges = tracks.beams
+        rests = (ranges < min(_FARTHEST_M, tracks.lidar.range_m - 1e-3)) & ~tracks.moving_beams
+        goals = _from_frames(poses, tracks.goals()[:, None])[:, 0]
+        nothing = np.zeros((num, 0, 0), bool), np.zeros((num, 0, 0, 2), np.int32), 1.0
+        _fill_windows(
+            poses, tracks.mount, self._bearings, ranges, rests, *(nothing if low is None else low.map),
+            way.map.ways, way.map.origins, goals, self._begins, self._circle, self._grids, self._fields,
+            self._waypoints, self._clearances,
+        )  # fmt: skip
+        movers = self._movers(poses)
+        places = np.empty((num, STEPS, movers.shape[1], 2))
+        predict_actors(movers, places)
+        costs = np.zeros((num, len(self._commands)))
+        twists = np.ascontiguousarray(self._velocity()[:, :2], np.float64)
+        arguments = (
+            poses, twists, self._grids, self._fields, self._waypoints, self._clearances, movers, places,
+            goals, self._limits, RESPONSE, np.zeros(num, bool),
+        )  # fmt: skip
+        score_commands(*arguments, self._commands, self._likely, self._cap, costs)
+        self._likely = costs.argmin(axis=1)
+        self._store(costs - costs.min(axis=1, keepdims=True))
+
+    def _movers(self, poses: Array) -> Array:
+        """What moves, in the frame of the odometry, as `predict_actors` takes it."""
+        tracker = self._tracks.tracker
+        count = max(1, int(tracker.moving_counts.max()))
+        moving = tracker.moving[:, :count]
+        there = np.arange(count) < tracker.moving_counts[:, None]
+        turned = poses.copy()
+        turned[:, :2] = 0.0
+        parts = _from_frames(poses, moving[..., :2]), _from_frames(turned, moving[..., 2:])
+        others = np.broadcast_to((0.0, _MOVER_RADIUS_M), (*there.shape, 2))
+        nobody = (_NOWHERE_M, _NOWHERE_M, 0.0, 0.0, 0.0, _MOVER_RADIUS_M)
+        return np.where(there[..., None], np.concatenate([*parts, others], axis=-1), nobody)
+
+
+def _from_frames(poses: Array, points: Array) -> Array:
+    """Points (N, K, 2) in the frames of `poses` (N, 3), in the frame that these are in."""
+    cos, sin = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
+    x, y = points[..., 0], points[..., 1]
+    return np.stack([poses[:, :1] + cos * x - sin * y, poses[:, 1:2] + sin * x + cos * y], axis=-1)
+
+
+@compile_function
+def _fill_windows(
+    poses: Any, mount: Any, bearings: Any, ranges: Any, rests: Any, steps: Any, places: Any, cell_m: float,
+    ways: Any, origins: Any, goals: Any, begins: Any, circle: Any, grids: Any, fields: Any,
+    waypoints: Any, clearances: Any,
+) -> None:  # fmt: skip
+    """Fill the square grids around `poses` (N, 3): way left, waypoints, and distances of obstacles [m].
+
+    Where an episode `begins` (N,), the ways to the `goals` (N, 2) are straight. Obstacles are where beams end
+    that meet something at `rests` (N, B), and low ones where `steps` tells, as in `update_maps`. Grids and
+    their values are as in `dynamic_window`.
+    """
+    for row in range(len(poses)):
+        pose, field, clearance = poses[row], fields[row], clearances[row]
+        left = (np.floor(pose[0] / _CELL_M) - _CELLS // 2) * _CELL_M
+        bottom = (np.floor(pose[1] / _CELL_M) - _CELLS // 2) * _CELL_M
+        grids[row, 0], grids[row, 1], grids[row, 2] = left, bottom, 1.0 / _CELL_M
+        grids[row, 3], grids[row, 4] = _CELLS, _CELLS
+        for line in range(_CELLS):
+            for column in range(_CELLS):
+                cell = line * _CELLS + column
+                at_x, at_y = left + column * _CELL_M, bottom + line * _CELL_M
+                if begins[row]:
+                    field[cell] = np.hypot(goals[row, 0] - at_x, goals[row, 1] - at_y)
+                else:
+                    field[cell] = way_left(ways[row], origins[row], at_x, at_y)
+                clearance[cell] = _FAR_M
+        cos, sin = np.cos(pose[2]), np.sin(pose[2])
+        x = pose[0] + cos * mount[0] - sin * mount[1]
+        y = pose[1] + sin * mount[0] + cos * mount[1]
+        for beam in range(len(bearings)):
+            if rests[row, beam]:
+                bearing = pose[2] + bearings[beam]
+                right, up = ranges[row, beam] * np.cos(bearing), ranges[row, beam] * np.sin(bearing)
+                _enter_obstacle(x + right - left, y + up - bottom, 0.0, clearance)
+        for line in range(steps.shape[1]):
+            for column in range(steps.shape[2]):
+                if steps[row, line, column]:
+                    at_x = (places[row, line, column, 0] + 0.5) * cell_m - left
+                    at_y = (places[row, line, column, 1] + 0.5) * cell_m - bottom
+                    _enter_obstacle(at_x, at_y, _LOW_RADIUS_M, clearance)
+        _find_waypoints(field, circle, waypoints[row])
+
+
+@compile_function
+def _enter_obstacle(x: float, y: float, radius: float, clearance: Any) -> None:
+    """Lower the distances around an obstacle at x and y [m] from a grid's first cell."""
+    reach = int(_FAR_M / _CELL_M) + 1
+    across, along = round(x / _CELL_M), round(y / _CELL_M)
+    for line in range(max(along - reach, 0), min(along + reach + 1, _CELLS)):
+        for column in range(max(across - reach, 0), min(across + reach + 1, _CELLS)):
+            right, up, cell = column * _CELL_M - x, line * _CELL_M - y, line * _CELLS + column
+            limit = clearance[cell] + radius
+            square = right * right + up * up
+            if square < limit * limit:
+                clearance[cell] = max(np.sqrt(square) - radius, 0.0)
+
+
+def _circle() -> NDArray[np.int64]:
+    """The cells (K, 2), right and up, on a circle around one."""
+    reach = round(_AHEAD_M / _CELL_M)
+    angles = np.arange(0.0, 2.0 * np.pi, np.pi / 8)
+    return np.rint(reach * np.column_stack([np.cos(angles), np.sin(angles)])).astype(np.int64)
+
+
+@compile_function
+def _find_waypoints(field: Any, circle: Any, found: Any) -> None:
+    """The cells with the least way left on a `circle` around each one, or itself where none is nearer."""
+    for line in range(_CELLS):
+        for column in range(_CELLS):
+            cell = line * _CELLS + column
+            least, best = field[cell], cell
+            for number in range(len(circle)):
+                across, along = column + circle[number, 0], line + circle[number, 1]
+                if 0 <= across < _CELLS and 0 <= along < _CELLS:
+                    other = along * _CELLS + across
+                    if field[other] < least:
+                        least, best = field[other], other
+            found[cell] = best
