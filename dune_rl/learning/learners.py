@@ -203,8 +203,8 @@ def require_same_networks(
         other = entry["algorithm"]
         raise CheckpointError(f"{source} was trained with {other}. {remedy.format(f'learning={other}')}")
     PolicySpec.from_plain(entry["spec"]).require(context.spec, str(source))
-    # Published policies are older than `learning.networks`.
-    theirs, ours = {"networks": {}, **entry["network"]}, learner.network_settings()
+    # Published policies are older than `learning.networks` and `learning.prior`.
+    theirs, ours = {"networks": {}, "prior": None, **entry["network"]}, learner.network_settings()
     settings = f"learning.groups.{group}" if conf.groups.get(group) else "learning"
     different = list(_differences(settings, theirs, ours))
     if different:

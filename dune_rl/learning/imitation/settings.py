@@ -15,6 +15,11 @@ class ImitationConf(ReplayingConf):
     name: Literal["imitation"] = "imitation"
     teacher: str = Field("planner", min_length=1, description="driver whose costs, or actions, are learned")
     commands: CommandGridConf = CommandGridConf()
+    prior: str | None = Field(
+        None,
+        description="part of the observation with a first guess of these costs, to which the network's are "
+        "added: command_costs; null: none",
+    )
     scan_channels: int = Field(16, ge=0, le=1024, description="of the convolutions round the scans; 0: none")
     learning_rate: float = Field(1e-3, gt=0, description="at frame 0")
     final_learning_rate: float = Field(1e-4, gt=0, description="at total_frames, reached linearly")

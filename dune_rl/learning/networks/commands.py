@@ -31,6 +31,7 @@ def command_grid(spec: PolicySpec, conf: CommandGridConf) -> Tensor:
 class CommandHead(nn.Module):
     """Logits and costs (..., C) of the commands, and the action (..., 2): the command of the least cost.
 
+    With a `prior`, the features end with a first guess of the costs, to which what it computes is added.
     Where it `draws`, the action is a command drawn by the logits, or the likeliest one where TorchRL's
     exploration type is deterministic.
     """
@@ -38,16 +39,30 @@ class CommandHead(nn.Module):
     commands: Tensor
 
     def __init__(
-        self, commands: Tensor, features: int, hidden: Sequence[int], *, draws: bool = False
+        self,
+        commands: Tensor,
+        features: int,
+        hidden: Sequence[int],
+        *,
+        draws: bool = False,
+        prior: bool = False,
     ) -> None:
         super().__init__()
-        self._draws = draws
+        self._draws, self._prior = draws, prior
         self.body = perceptron(features, hidden, 2 * len(commands))
+        if prior:
+            # It begins with the guess.
+            last = self.body[-1]
+            assert isinstance(last, nn.Linear)
+            nn.init.zeros_(last.weight[len(commands) :])
+            nn.init.zeros_(last.bias[len(commands) :])
         self.register_buffer("commands", commands)
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """In float32 also under autocast."""
         logits, costs = self.body(features).float().chunk(2, -1)
+        if self._prior:
+            costs = costs + features[..., -costs.shape[-1] :]
         if not self._draws:
             chosen = costs.argmin(-1)
         elif exploration_type() == ExplorationType.RANDOM:
@@ -69,7 +84,13 @@ def make_command_network(
     commands = command_grid(spec, CommandGridConf(**settings.pop("commands")))
     architecture = Architecture.from_plain(settings)
     features = Features(spec, architecture)
-    head = CommandHead(commands, features.size, architecture.hidden, draws=draws)
+    prior = architecture.prior
+    if prior is not None and spec.sizes[prior] != len(commands):
+        raise ConfigError(
+            f"learning.prior={prior} has {spec.sizes[prior]} values, and there are {len(commands)} commands; "
+            f"give sensors.{prior}.commands and learning.commands the same numbers"
+        )
+    head = CommandHead(commands, features.size, architecture.hidden, draws=draws, prior=prior is not None)
     return TensorDictSequential(
         TensorDictModule(features, in_keys=spec.keys, out_keys=[FEATURES]),
         TensorDictModule(head, in_keys=[FEATURES], out_keys=["logits", "costs", "action"]),

@@ -26,7 +26,7 @@ class Architecture:
     """Sizes of the networks, beside those of the spec: the settings of `learning` of the same names.
 
     `networks` has the settings of encoders, as plain data, by the part of the observation. `recurrent` are
-    the units of a GRU behind the features; 0: none.
+    the units of a GRU behind the features; 0: none. `prior` is the part that features end with as it is.
     """
 
     hidden: tuple[int, ...]
@@ -36,6 +36,7 @@ class Architecture:
     image_features: int = 64
     networks: Mapping[str, Any] = field(default_factory=dict)
     recurrent: int = 0
+    prior: str | None = None
 
     @classmethod
     def of(cls, conf: NetworkConf) -> "Architecture":
@@ -47,6 +48,7 @@ class Architecture:
             conf.image_channels,
             conf.image_features,
             {part: encoder.model_dump(mode="json") for part, encoder in conf.networks.items()},
+            prior=getattr(conf, "prior", None),
         )
 
     def plain(self) -> dict[str, Any]:
@@ -108,7 +110,8 @@ class Features(nn.Module):
     """Makes one vector of the observation's parts, (..., `size`).
 
     The encoder of a part is the one that `architecture.networks` names. Without one, scans of equal length
-    are convolved together, images one by one, and other vectors are passed on.
+    are convolved together, images one by one, and other vectors are passed on. The prior is the last one, and
+    not normalised.
     """
 
     def __init__(self, spec: PolicySpec, architecture: Architecture) -> None:
@@ -125,7 +128,13 @@ class Features(nn.Module):
         self._scans = _equal_scans(spec, named) if channels else []
         self._images = [key for key in spec.images if key not in named]
         self._named = sorted(named)
-        encoded = {*named, *(key for keys in self._scans for key in keys)}
+        self._prior = architecture.prior
+        if self._prior is not None and self._prior not in spec.sizes:
+            raise ConfigError(
+                f"learning.prior={self._prior} is no vector of the observation; "
+                f"{advise(self._prior, spec.sizes)}"
+            )
+        encoded = {*named, self._prior, *(key for keys in self._scans for key in keys)}
         self._vectors = [key for key in spec.sizes if key not in encoded]
         # The names of modules are those in published weights.
         self.normaliser = Normaliser(spec.range_columns, architecture.observation_clip)
@@ -135,6 +144,7 @@ class Features(nn.Module):
         self.named = nn.ModuleList(_make(named[key], spec.part(key)) for key in self._named)
         self.size = sum(spec.sizes[key] for key in self._vectors)
         self.size += sum(encoder.size for _, encoder in self._encoders())
+        self.size += 0 if self._prior is None else spec.sizes[self._prior]
 
     def _encoders(self) -> Iterator[tuple[Sequence[str], Any]]:
         yield from zip(self._scans, self.scans["convolutions"].children(), strict=True)
@@ -160,6 +170,9 @@ class Features(nn.Module):
         for keys, encoder in self._encoders():
             read = [parts[key] for key in keys]
             found.append(encoder(read[0] if len(read) == 1 else torch.stack(read, -2)))
+        if self._prior is not None:
+            raw = vectors.split(list(self._spec.sizes.values()), -1)
+            found.append(raw[[*self._spec.sizes].index(self._prior)])
         return torch.cat(found, -1)
 
 

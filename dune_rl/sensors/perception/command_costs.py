@@ -107,18 +107,19 @@ class CommandCosts(VectorSensor):
         rests = (ranges < min(_FARTHEST_M, tracks.lidar.range_m - 1e-3)) & ~tracks.moving_beams
         goals = _from_frames(poses, tracks.goals()[:, None])[:, 0]
         nothing = np.zeros((num, 0, 0), bool), np.zeros((num, 0, 0, 2), np.int32), 1.0
+        steps, places, cell_m = nothing if low is None else low.map
         _fill_windows(
-            poses, tracks.mount, self._bearings, ranges, rests, *(nothing if low is None else low.map),
+            poses, tracks.mount, self._bearings, ranges, rests, steps, places, cell_m,
             way.map.ways, way.map.origins, goals, self._begins, self._circle, self._grids, self._fields,
             self._waypoints, self._clearances,
         )  # fmt: skip
         movers = self._movers(poses)
-        places = np.empty((num, STEPS, movers.shape[1], 2))
-        predict_actors(movers, places)
+        ahead = np.empty((num, STEPS, movers.shape[1], 2))
+        predict_actors(movers, ahead)
         costs = np.zeros((num, len(self._commands)))
         twists = np.ascontiguousarray(self._velocity()[:, :2], np.float64)
         arguments = (
-            poses, twists, self._grids, self._fields, self._waypoints, self._clearances, movers, places,
+            poses, twists, self._grids, self._fields, self._waypoints, self._clearances, movers, ahead,
             goals, self._limits, RESPONSE, np.zeros(num, bool),
         )  # fmt: skip
         score_commands(*arguments, self._commands, self._likely, self._cap, costs)
