@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from dune_rl.geometry.compiled import compile_function
+from dune_rl.geometry.planar import length
 from dune_rl.sensors.perception.local_map import way_left
 
 _ARRIVED_M = 0.3
@@ -56,7 +57,7 @@ def _distance_to_movers(x: float, y: float, yaw: float, time: float, movers: Any
         away_x, away_y = mover[0] + time * mover[2] - x, mover[1] + time * mover[3] - y
         ahead = max(abs(cos * away_x + sin * away_y) - vehicle[4], 0.0)
         aside = max(abs(cos * away_y - sin * away_x) - vehicle[5], 0.0)
-        nearest = min(nearest, np.hypot(ahead, aside) - mover[4])
+        nearest = min(nearest, length(ahead, aside) - mover[4])
     return nearest
 
 
@@ -99,7 +100,7 @@ def rollout_cost(
                 cost += weights[3] * step_s * (1.0 - max(apart, 0.0) / margins_m[1]) ** 2
                 if apart <= 0.0:
                     cost += weights[2] * step_s
-        if np.hypot(goal[0] - x, goal[1] - y) < _ARRIVED_M:
+        if length(goal[0] - x, goal[1] - y) < _ARRIVED_M:
             return cost
         left = way_left(ways, origin, pose[0] + cos * x - sin * y, pose[1] + sin * x + cos * y)
         cost += step_s * weights[1] * left

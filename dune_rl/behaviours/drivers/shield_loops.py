@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from dune_rl.geometry.compiled import compile_function
+from dune_rl.geometry.planar import length
 
 STEP_S = 0.1
 # A command is held for this many steps, and then the body brakes.
@@ -30,7 +31,7 @@ def _gap(x: float, y: float, yaw: float, point_x: float, point_y: float, model: 
     beyond_y = abs(cos * away_y - sin * away_x) - model[5]
     if beyond_x <= 0.0 or beyond_y <= 0.0:
         return max(beyond_x, beyond_y)
-    result: float = np.hypot(beyond_x, beyond_y)
+    result: float = length(beyond_x, beyond_y)
     return result
 
 

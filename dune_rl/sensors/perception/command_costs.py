@@ -9,6 +9,7 @@ from pydantic import Field
 from dune_rl.core.errors import ConfigError
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.compiled import compile_function
+from dune_rl.geometry.planar import length
 from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.lidar import beam_angles
 from dune_rl.sensors.perception.dynamic_window import (
@@ -170,7 +171,7 @@ def _fill_windows(
                 cell = line * _CELLS + column
                 at_x, at_y = left + column * _CELL_M, bottom + line * _CELL_M
                 if begins[row]:
-                    field[cell] = np.hypot(goals[row, 0] - at_x, goals[row, 1] - at_y)
+                    field[cell] = length(goals[row, 0] - at_x, goals[row, 1] - at_y)
                 else:
                     field[cell] = way_left(ways[row], origins[row], at_x, at_y)
                 clearance[cell] = _FAR_M
@@ -214,9 +215,12 @@ def _circle() -> NDArray[np.int64]:
 
 @compile_function
 def _find_waypoints(field: Any, circle: Any, found: Any) -> None:
-    """The cells with the least way left on a `circle` around each one, or itself where none is nearer."""
-    for line in range(_CELLS):
-        for column in range(_CELLS):
+    """The cells with the least way left on a `circle` around each one, or itself where none is nearer.
+
+    Four cells have the one of the first of them.
+    """
+    for line in range(0, _CELLS, 2):
+        for column in range(0, _CELLS, 2):
             cell = line * _CELLS + column
             least, best = field[cell], cell
             for number in range(len(circle)):
@@ -225,4 +229,5 @@ def _find_waypoints(field: Any, circle: Any, found: Any) -> None:
                     other = along * _CELLS + across
                     if field[other] < least:
                         least, best = field[other], other
-            found[cell] = best
+            found[cell], found[cell + 1] = best, best
+            found[cell + _CELLS], found[cell + _CELLS + 1] = best, best

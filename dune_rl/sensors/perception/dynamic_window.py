@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from dune_rl.geometry.compiled import compile_function
+from dune_rl.geometry.planar import length
 from dune_rl.state.unicycle import Unicycle
 
 # `response`: how fast a body follows commands.
@@ -85,7 +86,7 @@ def _misalignment(grid: Any, waypoints: Any, x: float, y: float, yaw: float) -> 
     waypoint = waypoints[row * columns + column]
     ahead_x = grid[0] + (waypoint % columns) / grid[2] - x
     ahead_y = grid[1] + (waypoint // columns) / grid[2] - y
-    distance = np.hypot(ahead_x, ahead_y)
+    distance = length(ahead_x, ahead_y)
     if distance < 1e-6:
         return 0.0
     result: float = 1.0 - (ahead_x * np.cos(yaw) + ahead_y * np.sin(yaw)) / distance
@@ -102,7 +103,7 @@ def predict_actors(actors: Any, places: Any) -> None:
         for number in range(actors.shape[1]):
             actor = actors[row, number]
             x, y = actor[0], actor[1]
-            speed = np.hypot(actor[2], actor[3])
+            speed = length(actor[2], actor[3])
             course = np.arctan2(actor[3], actor[2])
             for step in range(places.shape[1]):
                 if step * STEP_S < 1.0:
@@ -120,7 +121,7 @@ def _gaps(
     reach, radius, around = vehicle[4], vehicle[5], vehicle[6]
     static, moving = interpolate_grid(grid, clearance, x, y) - around, np.inf
     for number in range(len(places)):
-        apart = np.hypot(places[number, 0] - x, places[number, 1] - y) - actors[number, 5] - around
+        apart = length(places[number, 0] - x, places[number, 1] - y) - actors[number, 5] - around
         moving = min(moving, apart)
     if static > _NEAR_STATIC_M and moving > _NEAR_ACTOR_M:
         return static, moving
@@ -130,7 +131,7 @@ def _gaps(
         disc_x, disc_y = x + side * reach * cos, y + side * reach * sin
         static = min(static, interpolate_grid(grid, clearance, disc_x, disc_y) - radius)
         for number in range(len(places)):
-            apart = np.hypot(places[number, 0] - disc_x, places[number, 1] - disc_y)
+            apart = length(places[number, 0] - disc_x, places[number, 1] - disc_y)
             moving = min(moving, apart - actors[number, 5] - radius)
     return static, moving
 
@@ -197,11 +198,11 @@ def _command_cost(
         near += _NEAR_COST_PER_S * STEP_S * max(0.0, 1.0 - max(moving, 0.0) / _NEAR_ACTOR_M) ** 2
         if near > best and not recovers:
             return np.inf
-        if not recovers and np.hypot(goal[0] - x, goal[1] - y) < _ARRIVED_M:
+        if not recovers and length(goal[0] - x, goal[1] - y) < _ARRIVED_M:
             return near + 0.1 * time
     near += _TURN_COST * abs(command[1])
     if recovers:
-        return near - np.hypot(x - pose[0], y - pose[1])
+        return near - length(x - pose[0], y - pose[1])
     near += interpolate_grid(grid, field, x, y) + _FACING_M * _misalignment(grid, waypoints, x, y, yaw)
     return near + (_REVERSE_COST_PER_M * travelled if command[0] < 0.0 else 0.0)
 

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from dune_rl.geometry.compiled import compile_function
+from dune_rl.geometry.planar import length
 
 # What earlier scans tell of the place of a return: that nothing was there, or the same return.
 _WAS_FREE, _RESTS = 1, 2
@@ -63,7 +64,7 @@ def compare_with_past(
         free, same = 0, 0
         for past in range(len(scans)):
             right, up = places[ray, 0] - poses[past, 0], places[ray, 1] - poses[past, 1]
-            away = np.hypot(right, up)
+            away = length(right, up)
             # From the middle of the view, as a view of more than half a circle would else be cut.
             bearing = np.arctan2(up, right) - poses[past, 2] - first_rad - half_rad
             bearing = (bearing + np.pi) % (2.0 * np.pi) - np.pi + half_rad
@@ -116,7 +117,7 @@ def find_clusters(
                 break
             last, size = after, size + 1
         after = (last + 1) % rays
-        width = np.hypot(points[last, 0] - points[first, 0], points[last, 1] - points[first, 1])
+        width = length(points[last, 0] - points[first, 0], points[last, 1] - points[first, 1])
         if width > _WIDEST_M or size > rays // 2:
             continue
         is_after = sees[after] and (is_circle or after > 0)
@@ -149,7 +150,7 @@ def _fit_circle(points: Any, first: int, size: int, mount: Any) -> Any:
         ray = (first + step) % len(points)
         x += points[ray, 0] / size
         y += points[ray, 1] / size
-    away = max(np.hypot(x - mount[0], y - mount[1]), 1e-3)
+    away = max(length(x - mount[0], y - mount[1]), 1e-3)
     x += _BEHIND * _RADIUS_M * (x - mount[0]) / away
     y += _BEHIND * _RADIUS_M * (y - mount[1]) / away
     for turn in range(_ROUNDS + 1):
@@ -157,7 +158,7 @@ def _fit_circle(points: Any, first: int, size: int, mount: Any) -> Any:
         for step in range(size):
             ray = (first + step) % len(points)
             right, up = x - points[ray, 0], y - points[ray, 1]
-            distance = max(np.hypot(right, up), 1e-6)
+            distance = max(length(right, up), 1e-6)
             right, up, miss = right / distance, up / distance, distance - _RADIUS_M
             xx += right * right
             xy += right * up

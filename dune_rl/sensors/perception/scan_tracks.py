@@ -6,6 +6,7 @@ import numpy as np
 
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.compiled import compile_function
+from dune_rl.geometry.planar import length
 from dune_rl.sensors.perception.scan_clusters import CLUSTER_COLUMNS, compare_with_past, find_clusters
 
 _MOST_TRACKS = 16
@@ -59,8 +60,8 @@ def _correct(track: Any, x: float, y: float, variance: float) -> None:
 @compile_function
 def _is_moving(track: Any) -> bool:
     """Whether a track has gone some way, and is faster than its error."""
-    speed = np.hypot(track[2], track[3])
-    way = np.hypot(track[0] - track[8], track[1] - track[9])
+    speed = length(track[2], track[3])
+    way = length(track[0] - track[8], track[1] - track[9])
     result: bool = way > _LEAST_WAY_M and speed > _SLOWEST_MPS and speed > 2.0 * np.sqrt(track[5])
     return result
 
@@ -84,7 +85,7 @@ def _hold_to_goal(pose: Any, goal: Any, place: Any, share: float) -> None:
     cos, sin = np.cos(pose[2]), np.sin(pose[2])
     x = pose[0] + cos * goal[0] - sin * goal[1]
     y = pose[1] + sin * goal[0] + cos * goal[1]
-    if not np.hypot(x - place[0], y - place[1]) < _NEW_GOAL_M:
+    if not length(x - place[0], y - place[1]) < _NEW_GOAL_M:
         place[0], place[1] = x, y
     pose[0] += share * (place[0] - x)
     pose[1] += share * (place[1] - y)
@@ -101,10 +102,10 @@ def _match(clusters: Any, found: int, pose: Any, step_s: float, tracks: Any, cou
     for index in range(count):
         track = tracks[index]
         _predict(track, step_s)
-        away = np.hypot(track[0] - pose[0], track[1] - pose[1])
+        away = length(track[0] - pose[0], track[1] - pose[1])
         nearest, chosen = _GATE_M + _GATE_PER_M * away, -1
         for number in range(found):
-            apart = np.hypot(clusters[number, 0] - track[0], clusters[number, 1] - track[1])
+            apart = length(clusters[number, 0] - track[0], clusters[number, 1] - track[1])
             if taken[number] < 0 and apart < nearest:
                 nearest, chosen = apart, number
         if chosen >= 0:
