@@ -174,6 +174,23 @@ def test_what_is_learned_is_the_cost_of_every_command(tmp_path: Path) -> None:
     assert ((action[:, 1] - best).abs() < 0.3).float().mean() > 0.85
 
 
+def test_a_policy_begins_with_the_costs_that_its_prior_guesses(tmp_path: Path) -> None:
+    spec = PolicySpec({"goal": 2, "guess": 4 * 5}, (-1.0, -3.14), (1.0, 3.14))
+    conf = ImitationConf(commands=SMALL, prior="guess", hidden=(16,))
+    context = LearnerContext("rover", 1, spec, 4096, tmp_path, torch.device("cpu"), "imitation")
+    found = Imitation(context, conf)
+    torch.manual_seed(0)
+    guess = 8.0 * torch.rand(6, 20)
+    parts = TensorDict({"goal": torch.randn(6, 2), "guess": guess}, [6])
+    acted = found.policy.network(parts.clone())
+    torch.testing.assert_close(acted["costs"], guess)
+    assert torch.equal(acted["action"], command_grid(spec, SMALL)[guess.argmin(-1)])
+    for prior, said in (("guessed", "no vector of the observation; did you mean guess"), ("goal", "has 2 v")):
+        wrong = conf.model_copy(update={"prior": prior})
+        with pytest.raises(ConfigError, match=f"learning\\.prior={prior}.*{said}"):
+            Imitation(context, wrong)
+
+
 def test_a_run_saves_and_goes_on(tmp_path: Path) -> None:
     conf = ImitationConf(
         hidden=(32,),

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from PIL import Image
+from rich.console import Console
 from training import make_sac
 
 from dune_rl import view
@@ -18,9 +19,15 @@ from dune_rl.config.compose import compose, compose_environment
 from dune_rl.config.schema import Conf
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.files import write_atomically
+from dune_rl.evaluation.episode_sets.apply import (
+    compose_on_set,
+    plan_of_set,
+    settings_of_episode,
+)
 from dune_rl.learning.checkpoint import write_checkpoint_file
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.saved_policies import policy_entry
+from dune_rl.reporting.views.maps import drive_episodes, map_content
 from dune_rl.visualization.video import open_video
 
 TINY = ["+world=flat", "width=128", "height=96", "samples=1", "longest_s=1", "after_s=0.2", "actors=none"]
@@ -119,6 +126,23 @@ def test_films_of_one_seed_are_the_same_and_drivers_differ(call: Call, folder: P
     assert (film_of(call, "view=video", "policy=random") != driven).any()
 
 
+def test_an_episode_of_a_set_is_shown_by_its_number(call: Call, folder: Path) -> None:
+    words = ["policy=go_to_goal", "set=construction-v1", "episode=6"]
+    assert call(*words, "view=map", "dpi=72") == 0
+    assert [path.name for path in (folder / "views").iterdir()] == ["construction-v1_6_map.png"]
+    conf, episode_set = compose_on_set(ViewConf, words, (), None)
+    assert episode_set is not None
+    conf, plan = settings_of_episode(conf, episode_set, 6), plan_of_set(conf, episode_set)
+    row = episode_set.episodes[6]
+    assert conf.world.seed == row.world_seed != episode_set.episodes[0].world_seed
+    tracks = drive_episodes(conf, Console(), plan)
+    (robot,) = (track for track in tracks if track.ending is not None)
+    assert robot.episode == 6
+    assert robot.points[0] == pytest.approx(row.start[:2], abs=0.02)
+    (placed,) = map_content(conf, tracks, plan).episodes[6]
+    assert (placed.x, placed.y, placed.goal_x, placed.goal_y) == (*row.start[:2], *row.goal)
+
+
 @pytest.mark.slow
 def test_a_sheet_before_it_does_not_change_a_film(call: Call, folder: Path) -> None:
     alone = film_of(call, "view=video", "policy=random")
@@ -150,6 +174,8 @@ def test_the_episode_s_seed_is_not_the_training_s() -> None:
         (["view=film"], "view must be one of sheet, video, both, orbit, map (got 'film')"),
         (["frames_per_s=0"], "frames_per_s must be above 0.0 (got 0)"),
         (["agent=rover_7"], "agent: there is no agent 'rover_7'; did you mean rover_0?"),
+        (["set=flat-v1", "episode=200", "view=map"], "set=flat-v1 has the episodes 0 to 199"),
+        (["set=flat-v1", "actors=none"], "set=flat-v1 determines actors; leave actors=none out"),
         (["-m", "seed=1,2"], "this command runs once; leave -m out"),
         (["out=file"], "cannot write file: a file of that name is in the way; choose another place"),
         (["out=file/views"], "cannot write file/views: a part of the path is a file; choose another place"),
@@ -159,7 +185,8 @@ def test_bad_input_is_refused_in_one_line(
     words: list[str], message: str, call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (folder / "file").write_text("kept")
-    assert call("+world=flat", *words) == 2
+    world = [] if words[0].startswith("set=") else ["+world=flat"]
+    assert call(*world, *words) == 2
     assert capsys.readouterr().err == f"{message}\n"
     assert [path.name for path in folder.iterdir()] == ["file"]
     assert (folder / "file").read_text() == "kept"

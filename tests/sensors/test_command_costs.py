@@ -1,0 +1,97 @@
+"""The look ahead over what was seen: what each command costs, by readings alone."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from plain_worlds import box, plain
+from simulations import put_walkers, simulation_on
+
+from dune_rl.core.errors import ConfigError
+from dune_rl.env.requests import AgentRequest
+from dune_rl.env.simulation import VectorSimulation
+from dune_rl.state.command_grid import CommandGridConf, command_grid
+
+SENSORS = {
+    "lidar": {"n_segments": 64},
+    "velocity": {},
+    "goal_direction": {},
+    "agent_tracks": {},
+    "way_left": {},
+    "command_costs": {},
+}
+COMMANDS = command_grid(CommandGridConf(), -1.0, 1.0)
+STANDING = ~COMMANDS.any(axis=1)
+
+
+def costs_after(steps: int, *boxes: Any, goal: tuple[float, float] = (3.0, 0.0), **settings: Any) -> Any:
+    """The costs (C,) for a rover at (-2, 0) that faces along x and has stood there, and the simulation."""
+    simulation = simulation_on(plain(*boxes), sensors=SENSORS, **settings)
+    simulation.reset(requests={0: {"rover_0": AgentRequest((-2.0, 0.0, 0.0), goal)}})
+    for _ in range(steps):
+        simulation.step({"rover": np.zeros((1, 1, 2))})
+    return simulation.observe("rover")["command_costs"][0, 0], simulation
+
+
+@pytest.mark.parametrize("steps", [0, 12])
+@pytest.mark.parametrize("side", [-1.0, 0.0, 1.0])
+def test_in_the_open_the_cheapest_command_leads_to_the_goal(steps: int, side: float) -> None:
+    costs, simulation = costs_after(steps, goal=(3.0, 4.0 * side))
+    speed, heading = COMMANDS[costs.argmin()]
+    assert costs.min() == 0.0 and costs.max() <= 8.0
+    assert speed == 1.0 and np.sign(np.round(heading, 1)) == side
+    # Straight away from it costs the way there and back, and standing the way not driven.
+    assert costs[STANDING] == pytest.approx(2.0, abs=1.0)
+    assert costs[(COMMANDS == (-1.0, 0.0)).all(axis=1)] > costs[STANDING]
+    simulation.close()
+
+
+def test_commands_into_a_wall_cost_more_than_those_round_it() -> None:
+    # Its face is 0.85 m before the rover's origin, and the gap beside it is 1.3 m wide.
+    wall = box(-1.0, 1.0, 0.3, 3.0, 1.0)
+    costs, simulation = costs_after(12, wall)
+    _, heading = COMMANDS[costs.argmin()]
+    full = COMMANDS[:, 0] == 1.0
+    straight = full & (COMMANDS[:, 1] == 0.0)
+    assert heading < 0.0
+    assert costs[straight] > costs.min() + 1.0
+    simulation.close()
+
+
+def test_commands_into_the_way_of_a_walker_cost_what_a_contact_does() -> None:
+    walker = {"body": "person", "controller": "external", "count": 1}
+    simulation = simulation_on(plain(), sensors=SENSORS, actors={"walker": walker})
+    simulation.reset(requests={0: {"rover_0": AgentRequest((-2.0, 0.0, 0.0), (3.0, 0.0))}})
+    straight = (COMMANDS == (1.0, 0.0)).all(axis=1)
+    # It comes from the left, and will cross the rover's way 1.5 m ahead in 1.5 s.
+    put_walkers(simulation, [[-0.5, 2.5, 0.0, -np.pi / 2]])
+    for _ in range(20):
+        simulation.step({"rover": np.zeros((1, 1, 2)), "walker": np.array([[[1.0, 0.0]]])})
+    crossing = simulation.observe("rover")["command_costs"][0, 0]
+    assert crossing[straight] > crossing[STANDING] + 1.0
+    simulation.close()
+    alone, simulation = costs_after(20)
+    assert alone[straight] == pytest.approx(0.0, abs=0.1)
+    simulation.close()
+
+
+def test_costs_depend_on_no_other_scene_and_repeat() -> None:
+    def of(scenes: int) -> Any:
+        simulation: VectorSimulation = simulation_on(
+            plain(box(0.0, 0.0, 0.4, 2.0, 1.0)), num_scenes=scenes, sensors=SENSORS
+        )
+        simulation.reset()
+        for _ in range(12):
+            simulation.step({"rover": np.full((scenes, 1, 2), 0.4)})
+        found = simulation.observe("rover")["command_costs"]
+        assert np.array_equal(found, simulation.observe("rover")["command_costs"])
+        simulation.close()
+        return found[0]
+
+    assert np.array_equal(of(1), of(3))
+
+
+def test_a_way_that_is_no_way_left_is_refused() -> None:
+    sensors = {**SENSORS, "command_costs": {"way_left": "lidar"}}
+    with pytest.raises(ConfigError, match=r"sensors\.command_costs\.way_left must be the name"):
+        simulation_on(plain(), sensors=sensors)
