@@ -78,11 +78,14 @@ def _sensors_by_name(old: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _in_degrees(settings: Any) -> Any:
-    """Nested settings, in which every angle `NAME_rad` is `NAME_deg`."""
+    """Nested settings, in which every angle `NAME_rad` is `NAME_deg`, but for those of grids of commands."""
     if not isinstance(settings, dict):
         return settings
     found: dict[str, Any] = {}
     for key, value in settings.items():
+        if key == "commands":
+            found[key] = value
+            continue
         name = key.removesuffix("_rad")
         found |= {key: _in_degrees(value)} if name == key else {f"{name}_deg": _degrees(value)}
     return found
