@@ -111,3 +111,9 @@ def test_an_older_run_s_seed_keeps_its_suns() -> None:
     # As they were drawn in radians.
     expected = [-1.7755365337416786, -1.0998335036208027, -0.015683946771946733]
     assert [values["sun_bearing_deg"] for values in drawn] == pytest.approx(np.rad2deg(expected), abs=1e-6)
+
+
+def test_grids_of_commands_keep_their_headings() -> None:
+    saved = compose(Conf, ["+world=flat", "sensors=perception", "+sensors.command_costs={}"])
+    plain = saved.model_dump(mode="json")
+    assert compose(Conf, ["+world=flat"], (), plain).sensors == saved.sensors
