@@ -80,6 +80,13 @@ def _stem(conf: ViewConf) -> str:
     return conf.world.name if path is None else f"{conf.world.name}_{Path(path).stem}"
 
 
+def _film_stem(conf: ViewConf) -> str:
+    """Also the seed, and the episode if it is not the first; a set has one seed."""
+    if conf.set is not None:
+        return _stem(conf)
+    return f"{_stem(conf)}_seed{conf.seed}" + (f"_episode{conf.episode}" if conf.episode else "")
+
+
 def _view(conf: ViewConf, plan: "EpisodePlan | None") -> None:
     folder = Path(conf.out)
     console = command_line.make_console()
@@ -104,7 +111,7 @@ def _view(conf: ViewConf, plan: "EpisodePlan | None") -> None:
             _print_note(console, f"Drawing all readings, {conf.after_s:g} s into the episode.")
             _print_path(console, write_sheet(episode, folder / f"{_stem(conf)}_sheet.png"))
         if conf.view in ("video", "both"):
-            path = folder / f"{_stem(conf) if conf.set else f'{_stem(conf)}_seed{conf.seed}'}.mp4"
+            path = folder / f"{_film_stem(conf)}.mp4"
             _print_path(console, write_video(episode, path, console))
     finally:
         episode.close()

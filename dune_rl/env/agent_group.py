@@ -165,12 +165,17 @@ class AgentGroup:
             self._shield = Shield(self.num_rows)
             self.bind(self._shield, "shield=brake")
 
+    @property
+    def has_speed_and_heading(self) -> bool:
+        """Whether these are the numbers of an action."""
+        return self.action_size == _SPEED_AND_HEADING
+
     def bind(self, behaviour: object, name: str) -> None:
         """Bind a behaviour to the group if it wants that; raises ConfigError if it cannot drive here."""
         bind = getattr(behaviour, "bind", None)
         if bind is None:
             return
-        if self.action_size != _SPEED_AND_HEADING:
+        if not self.has_speed_and_heading:
             raise ConfigError(
                 f"{name} cannot act for the group {self.name}: it outputs a speed and a heading, and the "
                 f"action has {self.action_size} components; choose another robot.action"

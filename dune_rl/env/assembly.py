@@ -24,6 +24,7 @@ from dune_rl.rendering.moving_mesh import MovingMesh
 from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.lidar import MeasuringScan
 from dune_rl.sensors.suite import SensorSuite
+from dune_rl.state.sensor_carrier import SensorCarrier
 from dune_rl.tasks.registry import START_SOURCES
 from dune_rl.tasks.spawn import SpawnConf, SpawnedBody
 
@@ -199,10 +200,16 @@ def _measuring_scan(
     return MeasuringScan(_context(group, neighbours, scenes))
 
 
+def _carrier(group: AgentGroup) -> SensorCarrier:
+    """The body as a carrier of sensors, with its model where its actions are a speed and a heading."""
+    carrier = group.body.carrier()
+    return replace(carrier, vehicle=group.body.vehicle()) if group.has_speed_and_heading else carrier
+
+
 def _context(group: AgentGroup, neighbours: Sequence[MovingMesh], scenes: SceneManager) -> SensorContext:
     return sensor_context(
         scenes.worlds,
-        replace(group.body.carrier(), vehicle=group.body.vehicle()),
+        _carrier(group),
         neighbours,
         num_rows=len(scenes.worlds) * group.count,
         step_s=scenes.conf.control_step_s,

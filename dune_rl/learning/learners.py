@@ -218,4 +218,4 @@ def _differences(name: str, theirs: Mapping[str, Any], ours: Mapping[str, Any]) 
         if value and isinstance(value, Mapping) and isinstance(own, Mapping) and value.keys() == own.keys():
             yield from _differences(f"{name}.{key}", value, own)
         elif value != own:
-            yield f"{name}.{key}={value}".replace(" ", "")
+            yield f"{name}.{key}={'null' if value is None else value}".replace(" ", "")

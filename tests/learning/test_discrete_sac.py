@@ -167,7 +167,19 @@ def test_a_policy_goes_as_far_from_where_it_began_as_it_may(tmp_path: Path, targ
         torch.testing.assert_close(encoded[:, -len(speeds) :], before.reshape(-1, len(speeds)))
 
 
+def test_what_a_coefficient_adapts_to_follows_from_the_settings_of_the_run(tmp_path: Path) -> None:
+    before = learner(tmp_path, target_entropy=1.3)
+    found = learner(tmp_path, target_divergence=0.3, start_from="run")
+    saved = {**before.state_dict(), "algorithm": "discrete_sac"}
+    found.start_from(saved)
+    assert float(found._step.loss.target_entropy) == pytest.approx(-0.3)
+    with pytest.raises(CheckpointError, match="began without learning\\.target_divergence"):
+        found.load_state_dict(saved)
+
+
 def test_a_divergence_is_from_a_policy_that_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="two targets of one coefficient"):
+        learner(tmp_path, target_divergence=0.5, target_entropy=0.3, start_from="run")
     with pytest.raises(ConfigError, match=r"learning\.start_from"):
         learner(tmp_path, target_divergence=0.5)
 

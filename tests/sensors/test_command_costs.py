@@ -91,6 +91,12 @@ def test_costs_depend_on_no_other_scene_and_repeat() -> None:
     assert np.array_equal(of(1), of(3))
 
 
+def test_a_body_that_is_not_driven_by_speed_and_heading_has_no_look_ahead() -> None:
+    robot = {"name": "hyperdog", "action": "joints"}
+    with pytest.raises(ConfigError, match=r"sensors\.command_costs: the body is not driven by its speed"):
+        simulation_on(plain(), sensors=SENSORS, robot=robot)
+
+
 def test_a_way_that_is_no_way_left_is_refused() -> None:
     sensors = {**SENSORS, "command_costs": {"way_left": "lidar"}}
     with pytest.raises(ConfigError, match=r"sensors\.command_costs\.way_left must be the name"):

@@ -29,6 +29,7 @@ from dune_rl.sensors.suite import SensorSuite
 from dune_rl.sensors.wheels import DriveGeometry
 from dune_rl.state import GoalState, GroupState
 from dune_rl.state.sensor_carrier import SensorCarrier
+from dune_rl.state.unicycle import Unicycle
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 
 ROWS, WHEELS = 8, 4
@@ -39,6 +40,7 @@ CARRIER = SensorCarrier(
     standing_height_m=0.12,
     num_joints=WHEELS,
     drive=DriveGeometry(0.12, 0.4, (0, 2), (1, 3)),
+    vehicle=Unicycle(-1.0, 1.0, 2.0, 2.0, 0.6, 0.4, 0.36),
 )
 SMALL = {
     "camera": {"width": 12, "height": 8, "outputs": ["rgb", "depth"]},

@@ -18,7 +18,7 @@ from torch.distributions import Categorical
 from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import DiscreteSACLoss, SoftUpdate
 
-from dune_rl.core.errors import ConfigError
+from dune_rl.core.errors import CheckpointError, ConfigError
 from dune_rl.learning.algorithm import LearnerContext
 from dune_rl.learning.discrete_sac.settings import DiscreteSacConf
 from dune_rl.learning.networks.commands import CommandHead, make_command_network
@@ -147,6 +147,11 @@ class DiscreteSacStep(GradientStep):
         super().load_state_dict(state)
         self._taken = state["taken"]
         if self._reference is not None:
+            if _REFERENCE not in state:
+                raise CheckpointError(
+                    "the run began without learning.target_divergence, and knows no policy to measure it "
+                    "from: leave it out, or begin a new run with learning.start_from"
+                )
             self._reference.load_state_dict(state[_REFERENCE])
 
 
@@ -229,6 +234,11 @@ class DiscreteSac(MaximumEntropyLearner):
     def __init__(self, context: LearnerContext, conf: DiscreteSacConf) -> None:
         super().__init__(context, conf)
         if conf.target_divergence is not None:
+            if conf.target_entropy is not None:
+                raise ConfigError(
+                    "learning.target_entropy and learning.target_divergence are two targets of one "
+                    "coefficient: leave one of them null"
+                )
             if conf.start_from is None:
                 raise ConfigError(
                     "learning.target_divergence is measured from the policy of learning.start_from: name a "

@@ -162,7 +162,9 @@ class GradientStep:
 
     def load_weights(self, state: Mapping[str, Any]) -> None:
         """Take the parameters of the loss, targets included, and of the critics' encoders, from `state`."""
-        self.loss.load_state_dict({**self.loss.state_dict(), **state["loss"]})
+        # What the coefficient adapts to follows from the settings, which may have changed.
+        loss = {name: value for name, value in state["loss"].items() if name != "target_entropy"}
+        self.loss.load_state_dict({**self.loss.state_dict(), **loss})
         # Runs from before there were privileged sensors have none.
         self._critic_features.load_state_dict(state.get("privileged", {}))
 

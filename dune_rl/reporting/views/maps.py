@@ -121,7 +121,7 @@ def drive_episodes(conf: ViewConf, console: Console, plan: EpisodePlan | None = 
             env.start_at(conf.seed, conf.episode)
             observation = env.reset()
             recorder = TrackRecorder(simulation)
-            while len(tracks) < last - conf.episode:
+            while True:
                 after = env.step(policy(observation))
                 recorder.update()
                 done = np.flatnonzero(after["next", "done"].reshape(-1).numpy()).tolist()
@@ -129,10 +129,12 @@ def drive_episodes(conf: ViewConf, console: Console, plan: EpisodePlan | None = 
                     episode = int(simulation.episodes[scene])
                     if episode < last:
                         tracks[episode] = recorder.tracks(scene)
+                bar.update(task, completed=len(tracks))
+                if len(tracks) == last - conf.episode:
+                    break
                 observation = env.maybe_reset(env.step_mdp(after))
                 for scene in done:
                     recorder.reset(scene)
-                bar.update(task, completed=len(tracks))
     finally:
         env.close()
     return [track for episode in sorted(tracks) for track in tracks[episode]]
