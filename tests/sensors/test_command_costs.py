@@ -6,20 +6,14 @@ import numpy as np
 import pytest
 from plain_worlds import box, plain
 from simulations import put_walkers, simulation_on
+from test_perception import SENSORS as PERCEPTION
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.env.requests import AgentRequest
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.state.command_grid import CommandGridConf, command_grid
 
-SENSORS = {
-    "lidar": {"n_segments": 64},
-    "velocity": {},
-    "goal_direction": {},
-    "agent_tracks": {},
-    "way_left": {},
-    "command_costs": {},
-}
+SENSORS = {**PERCEPTION, "command_costs": {}}
 COMMANDS = command_grid(CommandGridConf(), -1.0, 1.0)
 STANDING = ~COMMANDS.any(axis=1)
 
