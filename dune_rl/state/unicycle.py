@@ -2,6 +2,10 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
+from dune_rl.geometry.arrays import Array
+
 
 @dataclass(frozen=True)
 class Unicycle:
@@ -19,3 +23,8 @@ class Unicycle:
     width_m: float
     footprint_radius_m: float
     turning_radius_m: float = 0.0
+
+    def yaw_rates(self, headings: Array) -> Array:
+        """The yaw rates (N,) [rad/s] that commanded headings (N,) [rad] give."""
+        most = self.max_yaw_rate_radps
+        return np.clip(headings * self.heading_gain_per_s, -most, most)

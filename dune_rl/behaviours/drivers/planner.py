@@ -87,10 +87,7 @@ class Planner(BoundBehaviour):
 
         It is called in place of `act`, and followed by `record_actions`. The unit is a metre of level way.
         """
-        vehicle = self.context.vehicle
-        most = vehicle.max_yaw_rate_radps
-        turns = np.clip(actions[:, 1] * vehicle.heading_gain_per_s, -most, most)
-        commands = np.column_stack([actions[:, 0], turns])
+        commands = np.column_stack([actions[:, 0], self.context.vehicle.yaw_rates(actions[:, 1])])
         costs = np.zeros((self._num_rows, len(commands)))
         arguments = (*self._situation(state, group), commands, self._likely, cap, costs)
         score_commands(*arguments)

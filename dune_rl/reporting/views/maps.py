@@ -155,8 +155,9 @@ def title(conf: ViewConf) -> str:
 
 
 def subtitle(conf: ViewConf) -> str:
-    """The policy, the seed or the set of the episodes, and the settings of the world."""
-    chosen = conf.world.model_dump(exclude={"name", "path"}, exclude_none=True)
+    """The policy, the seed or the set of the episodes, and the settings of the world: of a set, its seed."""
+    shown_alone = {"seed"} if conf.set else None
+    chosen = conf.world.model_dump(include=shown_alone, exclude={"name", "path"}, exclude_none=True)
     settings = ", ".join(f"{name} {_plain(value)}" for name, value in chosen.items() if value not in ((), []))
     policy: str | None = conf.policy
     if conf.checkpoint is not None:

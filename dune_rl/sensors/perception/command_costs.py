@@ -73,9 +73,7 @@ class CommandCosts(VectorSensor):
         self._cap, self._way, self._tracks = conf.max_cost, way, way.tracks
         self._velocity = context.reading_of("velocity")
         self._bearings = np.ascontiguousarray(beam_angles(self._tracks.lidar))
-        most = vehicle.max_yaw_rate_radps
-        turns = np.clip(commands[:, 1] * vehicle.heading_gain_per_s, -most, most)
-        self._commands = np.column_stack([commands[:, 0], turns])
+        self._commands = np.column_stack([commands[:, 0], vehicle.yaw_rates(commands[:, 1])])
         self._limits = window_vehicle(vehicle, _MARGIN_M)
         # The cheapest command of the last look ahead.
         self._likely = np.zeros(context.num_rows, np.int64)
