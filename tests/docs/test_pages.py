@@ -86,11 +86,7 @@ def compose_command(words: list[str]) -> None:
     elif program == "dune_rl.evaluate" and {"resume", "verify"} & {word.partition("=")[0] for word in rest}:
         assert {word.partition("=")[0] for word in rest} <= {"resume", "processes", "verify", "sample"}
     elif program == "dune_rl.evaluate":
-        name = override_value(overrides, "set")
-        if name is not None and not override_value(overrides, "checkpoint"):
-            # A path is that of a set that the page has made.
-            own = str(name).endswith(".json")
-            overrides.append(f"+world={'inspection' if own else read_episode_set(str(name)).world}")
+        add_world_of_set(overrides)
         compose(EvaluateConf, overrides, folders, saved if override_value(overrides, "checkpoint") else None)
     elif program == "dune_rl.engines":
         engines_settings(overrides)
@@ -99,9 +95,19 @@ def compose_command(words: list[str]) -> None:
     elif program == "dune_rl.trajectory":
         trajectory_words(rest)
     elif program == "dune_rl.view":
+        add_world_of_set(overrides)
         compose(ViewConf, overrides, folders, saved if override_value(overrides, "checkpoint") else None)
     else:
         assert program == "dune_rl.benchmark"
+
+
+def add_world_of_set(overrides: list[str]) -> None:
+    """Choose the world of the set that they name, as the commands do, where no checkpoint tells it."""
+    name = override_value(overrides, "set")
+    if name is not None and not override_value(overrides, "checkpoint"):
+        # A path is that of a set that the page has made.
+        own = str(name).endswith(".json")
+        overrides.append(f"+world={'inspection' if own else read_episode_set(str(name)).world}")
 
 
 def write_named_files(folder: Path) -> None:
