@@ -47,8 +47,10 @@ class DiscreteSacStep(GradientStep):
         self._commands = head.commands
         self._taken = 0
         self._reference: TensorDictSequential | None = None
+        if conf.prior is not None:
+            head.temperature.fill_(conf.initial_entropy_coefficient)
         values = TensorDictModule(
-            _CommandValues(features, conf.hidden, len(head.commands)),
+            _CommandValues(features, conf, head),
             in_keys=[key],
             out_keys=["action_value"],
         ).to(self._device)
@@ -130,6 +132,8 @@ class DiscreteSacStep(GradientStep):
             target["bias"].data.copy_(critic["bias"].data)
         weight, bias = of_costs[-1]
         coefficient = self._conf.initial_entropy_coefficient
+        if self._conf.prior is not None:
+            head.temperature.fill_(coefficient)
         layers[-1].weight[: len(weight)] = weight / coefficient
         layers[-1].bias[: len(bias)] = bias / coefficient
 
@@ -189,15 +193,24 @@ class _DivergenceLoss(DiscreteSACLoss):
 
 
 class _CommandValues(nn.Module):
-    """Values (..., C) of all commands, in float32 also under autocast."""
+    """Values (..., C) of all commands, in float32 also under autocast.
 
-    def __init__(self, features: int, hidden: tuple[int, ...], commands: int) -> None:
+    To those of the network the negative costs of the policy's prior are added, if it has one.
+    """
+
+    def __init__(self, features: int, conf: DiscreteSacConf, head: CommandHead) -> None:
         super().__init__()
-        self.body = perceptron(features, hidden, commands)
+        self.body = perceptron(features, conf.hidden, len(head.commands))
+        self._scale = conf.reward_scale
+        # The policy's own, whose weights are no part of the critics.
+        self._of_policy = (head,)
+        if conf.prior is not None:
+            _shrink(self.body[-1])
 
     def forward(self, features: Tensor) -> Tensor:
+        (head,) = self._of_policy
         values: Tensor = self.body(features).float()
-        return values
+        return values - self._scale * head.decisive_guess(features)
 
 
 class _Logits(nn.Module):
@@ -206,10 +219,20 @@ class _Logits(nn.Module):
     def __init__(self, head: CommandHead) -> None:
         super().__init__()
         self.body = head.body
+        self._head = (head,)
 
     def forward(self, features: Tensor) -> Tensor:
-        logits, _ = self.body(features).float().chunk(2, -1)
+        (head,) = self._head
+        logits: Tensor = head(features)[0]
         return logits
+
+
+@torch.no_grad()
+def _shrink(layer: nn.Module) -> None:
+    """Let a layer begin with about nothing, and not with the same in two networks."""
+    assert isinstance(layer, nn.Linear)
+    layer.weight.mul_(_RANDOM_SHARE)
+    layer.bias.mul_(_RANDOM_SHARE)
 
 
 def _categorical(head: CommandHead) -> ProbabilisticTensorDictSequential:
@@ -267,7 +290,7 @@ class DiscreteSac(MaximumEntropyLearner):
         return "loss" not in saved and saved.get("algorithm", "imitation") in self.starts_from
 
     def network_settings(self) -> dict[str, Any]:
-        return {**super().network_settings(), "commands": self._conf.commands.model_dump()}
+        return {**super().network_settings(), **self._conf.plain_commands()}
 
     @classmethod
     def make_network(

@@ -4,16 +4,15 @@ from typing import Literal
 
 from pydantic import Field
 
+from dune_rl.learning.networks.settings import CommandsConf
 from dune_rl.learning.sac.settings import MaximumEntropyConf
-from dune_rl.state.command_grid import CommandGridConf
 
 
-class DiscreteSacConf(MaximumEntropyConf):
+class DiscreteSacConf(CommandsConf, MaximumEntropyConf):
     """Soft actor-critic that chooses one of a grid of commands; its policy has the network of `imitation`."""
 
     name: Literal["discrete_sac"] = "discrete_sac"
-    commands: CommandGridConf = CommandGridConf()
-    scan_channels: int = Field(16, ge=0, le=1024, description="of the convolutions round the scans; 0: none")
+    prior_weight: float = Field(0.0, ge=0, description="times which the guess counts once more")
     initial_entropy_coefficient: float = Field(0.02, gt=0)
     target_entropy: float | None = Field(
         None, description="nats; null: a quarter of what equally likely commands have"

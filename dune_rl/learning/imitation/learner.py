@@ -54,7 +54,7 @@ class Imitation(Algorithm):
         self._updates_due = 0.0
 
     def network_settings(self) -> dict[str, Any]:
-        return {**super().network_settings(), "commands": self._conf.commands.model_dump()}
+        return {**super().network_settings(), **self._conf.plain_commands()}
 
     @classmethod
     def make_network(

@@ -5,22 +5,14 @@ from typing import Literal
 from pydantic import Field, field_validator
 
 from dune_rl.behaviours.registry import BEHAVIOURS
-from dune_rl.learning.networks.settings import ReplayingConf
-from dune_rl.state.command_grid import CommandGridConf
+from dune_rl.learning.networks.settings import CommandsConf, ReplayingConf
 
 
-class ImitationConf(ReplayingConf):
+class ImitationConf(CommandsConf, ReplayingConf):
     """Imitation of a driver that labels what the learning policy meets (DAgger: Ross et al., 2011)."""
 
     name: Literal["imitation"] = "imitation"
     teacher: str = Field("planner", min_length=1, description="driver whose costs, or actions, are learned")
-    commands: CommandGridConf = CommandGridConf()
-    prior: str | None = Field(
-        None,
-        description="part of the observation with a first guess of these costs, to which the network's are "
-        "added: command_costs; null: none",
-    )
-    scan_channels: int = Field(16, ge=0, le=1024, description="of the convolutions round the scans; 0: none")
     learning_rate: float = Field(1e-3, gt=0, description="at frame 0")
     final_learning_rate: float = Field(1e-4, gt=0, description="at total_frames, reached linearly")
     learning_starts: int = Field(

@@ -31,12 +31,14 @@ def command_grid(spec: PolicySpec, conf: CommandGridConf) -> Tensor:
 class CommandHead(nn.Module):
     """Logits and costs (..., C) of the commands, and the action (..., 2): the command of the least cost.
 
-    With a `prior`, the features end with a first guess of the costs, to which what it computes is added.
-    Where it `draws`, the action is a command drawn by the logits, or the likeliest one where TorchRL's
-    exploration type is deterministic.
+    With a `prior_weight`, the features end with a first guess of the costs. The costs are those of the
+    network and the guess, and so many times the guess once more where they decide. The logits are those of
+    the network, less the deciding guess over the `temperature`. Where the head `draws`, the action is a
+    command drawn by the logits, or the likeliest one where TorchRL's exploration type is deterministic.
     """
 
     commands: Tensor
+    temperature: Tensor
 
     def __init__(
         self,
@@ -45,31 +47,46 @@ class CommandHead(nn.Module):
         hidden: Sequence[int],
         *,
         draws: bool = False,
-        prior: bool = False,
+        prior_weight: float | None = None,
     ) -> None:
         super().__init__()
-        self._draws, self._prior = draws, prior
+        self._draws, self._prior_weight = draws, prior_weight
+        # Where the guess ends in the features, behind which there may be others.
+        self._end = features
         self.body = perceptron(features, hidden, 2 * len(commands))
-        if prior:
+        self.register_buffer("commands", commands)
+        if prior_weight is not None:
+            self.register_buffer("temperature", torch.ones(()))
             # It begins with the guess.
             last = self.body[-1]
             assert isinstance(last, nn.Linear)
-            nn.init.zeros_(last.weight[len(commands) :])
-            nn.init.zeros_(last.bias[len(commands) :])
-        self.register_buffer("commands", commands)
+            nn.init.zeros_(last.weight)
+            nn.init.zeros_(last.bias)
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """In float32 also under autocast."""
         logits, costs = self.body(features).float().chunk(2, -1)
-        if self._prior:
-            costs = costs + features[..., -costs.shape[-1] :]
+        decisive = costs
+        if self._prior_weight is not None:
+            logits = logits - self.decisive_guess(features) / self.temperature
+            costs = costs + self._guess(features)
+            decisive = costs + self._prior_weight * self._guess(features)
         if not self._draws:
-            chosen = costs.argmin(-1)
+            chosen = decisive.argmin(-1)
         elif exploration_type() == ExplorationType.RANDOM:
             chosen = torch.distributions.Categorical(logits=logits).sample()
         else:
             chosen = logits.argmax(-1)
         return logits, costs, self.commands[chosen]
+
+    def _guess(self, features: Tensor) -> Tensor:
+        return features[..., self._end - len(self.commands) : self._end].float()
+
+    def decisive_guess(self, features: Tensor) -> Tensor:
+        """What the prior adds to the costs (..., C) that decide; zeros without one."""
+        if self._prior_weight is None:
+            return features.new_zeros(len(self.commands))
+        return (1.0 + self._prior_weight) * self._guess(features)
 
 
 def make_command_network(
@@ -77,11 +94,13 @@ def make_command_network(
 ) -> TensorDictSequential:
     """From the observation's parts to "logits", "costs" and "action".
 
-    `settings` are those of `Architecture.plain`, with the grid's under "commands"; `draws` is as in
-    `CommandHead`.
+    `settings` are those of `Architecture.plain`, with the grid's under "commands" and the weight of the
+    prior; `draws` is as in `CommandHead`.
     """
     settings = dict(settings)
     commands = command_grid(spec, CommandGridConf(**settings.pop("commands")))
+    # Published policies may be older than the weight.
+    weight = settings.pop("prior_weight", 0.0)
     architecture = Architecture.from_plain(settings)
     features = Features(spec, architecture)
     prior = architecture.prior
@@ -90,7 +109,13 @@ def make_command_network(
             f"learning.prior={prior} has {spec.sizes[prior]} values, and there are {len(commands)} commands; "
             f"give sensors.{prior}.commands and learning.commands the same numbers"
         )
-    head = CommandHead(commands, features.size, architecture.hidden, draws=draws, prior=prior is not None)
+    head = CommandHead(
+        commands,
+        features.size,
+        architecture.hidden,
+        draws=draws,
+        prior_weight=None if prior is None else weight,
+    )
     return TensorDictSequential(
         TensorDictModule(features, in_keys=spec.keys, out_keys=[FEATURES]),
         TensorDictModule(head, in_keys=[FEATURES], out_keys=["logits", "costs", "action"]),

@@ -1,12 +1,13 @@
 """Settings of the networks that algorithms have in common. Importing them loads no PyTorch."""
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, SerializeAsAny, model_validator
 
 from dune_rl.core.settings import Settings
 from dune_rl.learning.networks.registry import EncoderConf, parse_encoder
 from dune_rl.learning.settings import LearningConf, Width
+from dune_rl.state.command_grid import CommandGridConf
 
 EncoderSettings = Annotated[SerializeAsAny[EncoderConf], BeforeValidator(parse_encoder)]
 
@@ -53,6 +54,25 @@ class ReplayingConf(NetworkConf):
                 f"(got {self.replay.capacity} and {self.batch_size})"
             )
         return self
+
+
+class CommandsConf(NetworkConf):
+    """Base of the settings of algorithms that choose one of a grid of commands."""
+
+    commands: CommandGridConf = CommandGridConf()
+    prior: str | None = Field(
+        None,
+        description="part of the observation with a first guess of each command's cost, to which the network "
+        "adds: command_costs; null: none",
+    )
+    prior_weight: float = Field(
+        1.0, ge=0, description="times which the guess counts once more where a command is chosen"
+    )
+    scan_channels: int = Field(16, ge=0, le=1024, description="of the convolutions round the scans; 0: none")
+
+    def plain_commands(self) -> dict[str, Any]:
+        """What describes the networks beside `Architecture.plain`."""
+        return {"commands": self.commands.model_dump(), "prior_weight": self.prior_weight}
 
 
 class ActorCriticConf(NetworkConf):
