@@ -105,7 +105,7 @@ def start_learners(learners: Mapping[str, Algorithm], conf: LearningConf) -> Non
 
     Of a run's folder the last checkpoint is read, or where it has none, its policy; a warning tells where
     critics are new. Raises CheckpointError, which names the setting, where the file cannot be
-    read, has nothing for the group, or networks of another shape; GroupMismatchError where its policy is for
+    read, has nothing for the group, or other networks; GroupMismatchError where its policy is for
     other observations or actions.
     """
     for group, learner in learners.items():
@@ -204,11 +204,12 @@ def require_same_networks(
         raise CheckpointError(f"{source} was trained with {other}. {remedy.format(f'learning={other}')}")
     PolicySpec.from_plain(entry["spec"]).require(context.spec, str(source))
     # Published policies are older than `learning.networks` and `learning.prior`.
-    theirs, ours = {"networks": {}, "prior": None, **entry["network"]}, learner.network_settings()
+    older = {"networks": {}, "prior": None, "prior_weight": 0.0}
+    theirs, ours = {**older, **entry["network"]}, learner.network_settings()
     settings = f"learning.groups.{group}" if conf.groups.get(group) else "learning"
     different = list(_differences(settings, theirs, ours))
     if different:
-        raise CheckpointError(f"{source} has networks of another shape. {remedy.format(' '.join(different))}")
+        raise CheckpointError(f"{source} has other networks. {remedy.format(' '.join(different))}")
 
 
 def _differences(name: str, theirs: Mapping[str, Any], ours: Mapping[str, Any]) -> Iterator[str]:

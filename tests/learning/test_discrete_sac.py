@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 from point_mass import make_point_mass
+from tensordict import TensorDict
 from test_sac import _one_step_episodes
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from training import SMALL, assert_halves_make_a_whole, make_context
@@ -14,6 +15,8 @@ from dune_rl.core.errors import CheckpointError, ConfigError
 from dune_rl.learning.discrete_sac.learner import DiscreteSac
 from dune_rl.learning.discrete_sac.settings import DiscreteSacConf
 from dune_rl.learning.group_policy import Deterministic
+from dune_rl.learning.imitation.learner import Imitation
+from dune_rl.learning.imitation.settings import ImitationConf
 from dune_rl.learning.learners import require_same_networks
 from dune_rl.learning.networks.commands import command_grid, make_command_network
 from dune_rl.learning.policy_spec import PolicySpec
@@ -135,6 +138,85 @@ def test_it_begins_with_the_command_and_the_values_of_the_imitated_costs(tmp_pat
     torch.testing.assert_close(found.policy.network(steps["observation"].clone())["logits"], logits)
 
 
+def learner_with_prior(folder: Path, *, privileged: bool = False, **changes: object) -> DiscreteSac:
+    guess = len(command_grid(SPEC, GRID))
+    spec, whole = (
+        PolicySpec({"goal": 2, "guess": guess, **more}, SPEC.low, SPEC.high) for more in ({}, {"hidden": 3})
+    )
+    conf = SMALL_DISCRETE.model_copy(update={"prior": "guess", "reward_scale": 2.0, **changes})
+    return DiscreteSac(make_context(spec, folder, critic_spec=whole if privileged else None), conf)
+
+
+@pytest.mark.parametrize("privileged", [False, True])
+@pytest.mark.parametrize(("weight", "imitated"), [(0.0, False), (1.5, False), (1.5, True)])
+def test_it_begins_with_the_command_and_the_values_that_a_prior_guesses(
+    tmp_path: Path, weight: float, imitated: bool, privileged: bool
+) -> None:
+    torch.manual_seed(0)
+    commands = command_grid(SPEC, GRID)
+    found = learner_with_prior(tmp_path, privileged=privileged, prior_weight=weight)
+    network, coefficient = found.policy.network, SMALL_DISCRETE.initial_entropy_coefficient
+    guess = 8.0 * torch.rand(32, len(commands))
+    parts = TensorDict({"goal": torch.randn(32, 2), "guess": guess}, [32])
+    costs = (1.0 + weight) * guess
+    if imitated:
+        taught = make_command_network(found.context.spec, found.network_settings())
+        torch.nn.init.normal_(taught[1].module.body[-1].weight)
+        costs = taught(parts.clone())["costs"] + weight * guess
+        found.start_from({"policy": taught.state_dict(), "algorithm": "imitation"})
+    acted = Deterministic(network)(parts.clone())
+    torch.testing.assert_close(acted["logits"], -2.0 * costs / coefficient, rtol=1e-4, atol=1e-3)
+    assert torch.equal(acted["action"], commands[costs.argmin(-1)])
+    read = TensorDict({"features": acted["features"], "critic_features": acted["features"]}, [32])
+    if privileged:
+        read["critic_features"] = torch.cat([acted["features"], torch.randn(32, 3)], -1)
+    critics = found._step.loss.qvalue_network_params
+    values = found._step.loss._vmap_qnetworkN0(read, critics)["action_value"]
+    assert not torch.allclose(values[0], values[1])
+    assert (values + 2.0 * costs).abs().mean() < 0.15 * (2.0 * costs).abs().mean()
+    # The guess goes along to where the policy is used.
+    copy = make_command_network(found.context.spec, found.network_settings(), draws=True)
+    copy.load_state_dict(network.state_dict())
+    torch.testing.assert_close(Deterministic(copy)(parts.clone())["logits"], acted["logits"])
+
+
+def test_a_policy_with_a_prior_learns_and_keeps_to_where_it_began(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    settings = {"target_divergence": 0.1, "start_from": "imitated", "prior_weight": 1.0}
+    found = learner_with_prior(tmp_path, **settings)
+    taught = make_command_network(found.context.spec, found.network_settings())
+    found.start_from({"policy": taught.state_dict(), "algorithm": "imitation"})
+    steps = _one_step_episodes(found.context.spec, terminated=True)
+    rows = found._codec.encode(steps)
+    first = found._learn([rows])
+    assert first["sac/divergence"] == pytest.approx(0.0, abs=1e-4)
+    assert found._learn([rows] * 20)["sac/divergence"] > 0.0
+    resumed = learner_with_prior(tmp_path, **settings)
+    resumed.load_state_dict(found.state_dict())
+    observations = steps["observation"].clone()
+    now, then = (each.policy.network(observations.clone())["logits"] for each in (resumed, found))
+    torch.testing.assert_close(now, then)
+
+
+@pytest.mark.parametrize("prior", [None, "guess"])
+def test_it_starts_from_what_imitation_saves(tmp_path: Path, prior: str | None) -> None:
+    spec = PolicySpec({"goal": 2, "guess": len(command_grid(SPEC, GRID))}, SPEC.low, SPEC.high)
+    taught = ImitationConf(commands=GRID, hidden=(16,), prior=prior)
+    saved = Imitation(make_context(spec, tmp_path / "a"), taught).network_settings()
+    found = DiscreteSac(
+        make_context(spec, tmp_path / "b"), SMALL_DISCRETE.model_copy(update={"prior": prior})
+    )
+    entry = {"algorithm": "imitation", "spec": spec.plain(), "network": saved}
+    check = partial(
+        require_same_networks, source=tmp_path, conf=SMALL_DISCRETE, group="rover", remedy="Set {}"
+    )
+    if prior is None:
+        check(found, entry, relatives=found.starts_from)
+        return
+    with pytest.raises(CheckpointError, match=r"Set learning\.prior_weight=1\.0$"):
+        check(found, entry, relatives=found.starts_from)
+
+
 @pytest.mark.parametrize("target", [0.1, 1.0])
 def test_a_policy_goes_as_far_from_where_it_began_as_it_may(tmp_path: Path, target: float) -> None:
     torch.manual_seed(0)
@@ -153,7 +235,8 @@ def test_a_policy_goes_as_far_from_where_it_began_as_it_may(tmp_path: Path, targ
     before = found.policy.network(observations.clone())["logits"].log_softmax(-1)
     rows = found._codec.encode(steps)
     found._critic_features.observe(found._codec.observations(rows))
-    found._learn([rows] * 400)
+    logged = found._learn([rows] * 400)
+    assert logged["sac/divergence"] > 0 and "sac/entropy" not in logged
     after = found.policy.network(observations.clone())["logits"].log_softmax(-1)
     divergence = (after.exp() * (after - before)).sum(-1).mean().item()
     assert target / 3 < divergence < 3 * target

@@ -20,7 +20,7 @@ from dune_rl.learning.group_policy import Deterministic
 from dune_rl.learning.imitation.learner import Imitation
 from dune_rl.learning.imitation.settings import ImitationConf
 from dune_rl.learning.imitation.teacher import TEACHER_COSTS, TeacherLabels
-from dune_rl.learning.networks.commands import command_grid
+from dune_rl.learning.networks.commands import command_grid, make_command_network
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.settings import CollectorConf, EvaluationConf
 from dune_rl.learning.trainer import Trainer
@@ -185,7 +185,20 @@ def test_a_policy_begins_with_the_costs_that_its_prior_guesses(tmp_path: Path) -
     acted = found.policy.network(parts.clone())
     torch.testing.assert_close(acted["costs"], guess)
     assert torch.equal(acted["action"], command_grid(spec, SMALL)[guess.argmin(-1)])
-    for prior, said in (("guessed", "no vector of the observation; did you mean guess"), ("goal", "has 2 v")):
+    # It counts once more where it decides, and not in what is learned.
+    torch.nn.init.normal_(found.policy.network[1].module.body[-1].weight)
+    for weight in (0.0, 3.0):
+        settings = {**found.network_settings(), "prior_weight": weight}
+        again = make_command_network(spec, settings)
+        again.load_state_dict(found.policy.network.state_dict())
+        acted = again(parts.clone())
+        torch.testing.assert_close(acted["costs"], found.policy.network(parts.clone())["costs"])
+        decisive = acted["costs"] + weight * guess
+        assert torch.equal(acted["action"], command_grid(spec, SMALL)[decisive.argmin(-1)])
+    for prior, said in (
+        ("guessed", "no vector that the policy observes; did you mean guess"),
+        ("goal", "has 2 v"),
+    ):
         wrong = conf.model_copy(update={"prior": prior})
         with pytest.raises(ConfigError, match=f"learning\\.prior={prior}.*{said}"):
             Imitation(context, wrong)
@@ -224,5 +237,11 @@ def test_what_cannot_teach_is_refused_before_training(tmp_path: Path) -> None:
     hidden = make_learning_env(compose_environment("flat", words), 1, 0)
     with pytest.raises(ConfigError, match="no critic that would read the privileged height_scan"):
         Trainer(lambda *_: hidden, tmp_path / "c", ImitationConf(), seed=1, total_frames=64)
-    for each in (joints, blind, hidden):
+    words = ["sensors=perception", "+sensors.command_costs={commands: {max_heading_rad: 0.5}}"]
+    narrow = make_learning_env(compose_environment("flat", words), 1, 0)
+    with pytest.raises(ConfigError, match=r"sensors.command_costs.commands \(.*=0.5\), differ"):
+        Trainer(
+            lambda *_: narrow, tmp_path / "d", ImitationConf(prior="command_costs"), seed=1, total_frames=64
+        )
+    for each in (joints, blind, hidden, narrow):
         each.close()

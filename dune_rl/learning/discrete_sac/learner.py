@@ -15,20 +15,22 @@ from tensordict.nn import (
 )
 from torch import Tensor, nn
 from torch.distributions import Categorical
+from torchrl.envs import EnvBase
 from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import DiscreteSACLoss, SoftUpdate
 
 from dune_rl.core.errors import CheckpointError, ConfigError
+from dune_rl.env.torchrl.episode_metrics import simulation_in
 from dune_rl.learning.algorithm import LearnerContext
 from dune_rl.learning.discrete_sac.settings import DiscreteSacConf
-from dune_rl.learning.networks.commands import CommandHead, make_command_network
+from dune_rl.learning.networks.commands import CommandHead, check_prior, make_command_network
 from dune_rl.learning.networks.policy import FEATURES, perceptron
 from dune_rl.learning.policy_spec import PackedObservation, PolicySpec
 from dune_rl.learning.sac.gradient_step import GradientStep, MakeBatch
 from dune_rl.learning.sac.learner import MaximumEntropyLearner
 
 _ENTROPY_SHARE = 0.25
-# Of their random weights that critics keep which begin by an imitated policy's costs.
+# Of their random weights that critics keep which begin by an imitated policy's costs, or by a prior's.
 _RANDOM_SHARE = 0.1
 # Log probabilities (..., C) of the commands by the policy from which a divergence is measured.
 _REFERENCE = "reference"
@@ -47,8 +49,7 @@ class DiscreteSacStep(GradientStep):
         self._commands = head.commands
         self._taken = 0
         self._reference: TensorDictSequential | None = None
-        if conf.prior is not None:
-            head.temperature.fill_(conf.initial_entropy_coefficient)
+        self._set_temperature(head)
         values = TensorDictModule(
             _CommandValues(features, conf, head),
             in_keys=[key],
@@ -102,12 +103,21 @@ class DiscreteSacStep(GradientStep):
         self._reference = copy.deepcopy(network).requires_grad_(requires_grad=False)
 
     def __call__(self, make_batch: MakeBatch) -> dict[str, Tensor]:
+        """As the base, with "sac/divergence" in place of "sac/entropy" where there is a target of it."""
         self._taken += 1
-        return super().__call__(make_batch)
+        found = super().__call__(make_batch)
+        if self._conf.target_divergence is not None:
+            found["sac/divergence"] = -found.pop("sac/entropy")
+        return found
 
     @property
     def _trains_actor(self) -> bool:
         return self._taken > self._conf.critic_updates
+
+    def _set_temperature(self, head: CommandHead) -> None:
+        """Let the logits of a prior be those of the best policy by its costs, at the initial coefficient."""
+        if self._conf.prior is not None:
+            head.temperature.fill_(self._conf.initial_entropy_coefficient / self._conf.reward_scale)
 
     @torch.no_grad()
     def begin_by_costs(self, head: CommandHead) -> None:
@@ -132,8 +142,7 @@ class DiscreteSacStep(GradientStep):
             target["bias"].data.copy_(critic["bias"].data)
         weight, bias = of_costs[-1]
         coefficient = self._conf.initial_entropy_coefficient
-        if self._conf.prior is not None:
-            head.temperature.fill_(coefficient)
+        self._set_temperature(head)
         layers[-1].weight[: len(weight)] = weight / coefficient
         layers[-1].bias[: len(bias)] = bias / coefficient
 
@@ -201,16 +210,16 @@ class _CommandValues(nn.Module):
     def __init__(self, features: int, conf: DiscreteSacConf, head: CommandHead) -> None:
         super().__init__()
         self.body = perceptron(features, conf.hidden, len(head.commands))
-        self._scale = conf.reward_scale
+        self._scale = conf.reward_scale * (1.0 + head.prior_weight)
         # The policy's own, whose weights are no part of the critics.
         self._of_policy = (head,)
-        if conf.prior is not None:
+        if conf.prior is not None and conf.start_from is None:
             _shrink(self.body[-1])
 
     def forward(self, features: Tensor) -> Tensor:
         (head,) = self._of_policy
         values: Tensor = self.body(features).float()
-        return values - self._scale * head.decisive_guess(features)
+        return values - self._scale * head.guess(features)
 
 
 class _Logits(nn.Module):
@@ -223,7 +232,7 @@ class _Logits(nn.Module):
 
     def forward(self, features: Tensor) -> Tensor:
         (head,) = self._head
-        logits: Tensor = head(features)[0]
+        logits: Tensor = head.predict(features)[0]
         return logits
 
 
@@ -288,6 +297,11 @@ class DiscreteSac(MaximumEntropyLearner):
     def _is_imitated(self, saved: Mapping[str, Any]) -> bool:
         # A policy's entry tells its algorithm; the state of a learner does not.
         return "loss" not in saved and saved.get("algorithm", "imitation") in self.starts_from
+
+    def check_environment(self, env: EnvBase) -> None:
+        """Raise ConfigError where a driver cannot demonstrate, or the prior has other commands."""
+        super().check_environment(env)
+        check_prior(self._conf, simulation_in(env).group(self.context.group).suite)
 
     def network_settings(self) -> dict[str, Any]:
         return {**super().network_settings(), **self._conf.plain_commands()}

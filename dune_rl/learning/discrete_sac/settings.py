@@ -12,7 +12,7 @@ class DiscreteSacConf(CommandsConf, MaximumEntropyConf):
     """Soft actor-critic that chooses one of a grid of commands; its policy has the network of `imitation`."""
 
     name: Literal["discrete_sac"] = "discrete_sac"
-    prior_weight: float = Field(0.0, ge=0, description="times which the guess counts once more")
+    prior_weight: float = Field(0.0, ge=0, description="extra weight of that guess: it counts 1 + this")
     initial_entropy_coefficient: float = Field(0.02, gt=0)
     target_entropy: float | None = Field(
         None, description="nats; null: a quarter of what equally likely commands have"

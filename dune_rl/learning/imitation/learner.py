@@ -18,7 +18,7 @@ from dune_rl.learning.drivers import BoundDriver
 from dune_rl.learning.group_policy import agent_sequences
 from dune_rl.learning.imitation.settings import ImitationConf
 from dune_rl.learning.imitation.teacher import TEACHER_COSTS, TeacherLabels
-from dune_rl.learning.networks.commands import command_grid, make_command_network
+from dune_rl.learning.networks.commands import check_prior, command_grid, make_command_network
 from dune_rl.learning.networks.policy import Architecture
 from dune_rl.learning.policy_spec import PackedObservation
 from dune_rl.learning.sac.replay import Replay, check_memory
@@ -63,8 +63,9 @@ class Imitation(Algorithm):
         return make_command_network(spec, settings, device)
 
     def check_environment(self, env: EnvBase) -> None:
-        """Raise ConfigError where the teacher cannot drive the group, or a sensor is privileged."""
+        """Raise ConfigError for a teacher that cannot drive, a privileged sensor, or a prior's other grid."""
         simulation = simulation_in(env)
+        check_prior(self._conf, simulation.group(self.context.group).suite)
         if hidden := simulation.group(self.context.group).privileged:
             raise ConfigError(
                 f"learning=imitation has no critic that would read the privileged "
@@ -139,9 +140,9 @@ class Imitation(Algorithm):
         conf = self._conf
         observed, octets, labels = rows.split([2 * self._floats, self._octets, 2 * len(self._commands)], -1)
         floats, costs = (part.contiguous().view(torch.float16).float() for part in (observed, labels))
-        logits, predicted, _ = self._network[1].module(
-            self._network[0].module.encode(PackedObservation(floats, octets))
-        )
+        encoder, head = (part.module for part in self._network)
+        features = encoder.encode(PackedObservation(floats, octets))
+        logits, predicted = head.predict(features)
         wanted = (-costs / conf.temperature).softmax(-1)
         entropy = -(wanted * logits.log_softmax(-1)).sum(-1).mean()
         error = (predicted - costs).square().mean()
@@ -151,7 +152,7 @@ class Imitation(Algorithm):
         nn.utils.clip_grad_norm_(self._network.parameters(), _MAX_GRADIENT)
         self._optimiser.step()
         with torch.no_grad():
-            regret = costs.gather(-1, predicted.argmin(-1, keepdim=True)).mean()
+            regret = costs.gather(-1, head.choose(predicted, features)[:, None]).mean()
         return {
             "loss/cross_entropy": entropy.detach(),
             "loss/cost": error.detach(),

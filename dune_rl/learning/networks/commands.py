@@ -10,7 +10,9 @@ from torchrl.envs.utils import ExplorationType, exploration_type
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.learning.networks.policy import FEATURES, Architecture, Features, perceptron
+from dune_rl.learning.networks.settings import CommandsConf
 from dune_rl.learning.policy_spec import PolicySpec
+from dune_rl.sensors.suite import SensorSuite
 from dune_rl.state.command_grid import CommandGridConf
 from dune_rl.state.command_grid import command_grid as grid_of_commands
 
@@ -28,13 +30,25 @@ def command_grid(spec: PolicySpec, conf: CommandGridConf) -> Tensor:
     return torch.as_tensor(grid_of_commands(within, spec.low[0], spec.high[0]), dtype=torch.float32)
 
 
+def check_prior(conf: CommandsConf, suite: SensorSuite | None) -> None:
+    """Raise ConfigError where the sensor that is the prior has other commands than the learner."""
+    sensor = None if suite is None or conf.prior is None else suite.settings.get(conf.prior)
+    commands = getattr(sensor, "commands", conf.commands)
+    if commands != conf.commands:
+        raise ConfigError(
+            f"learning.commands ({conf.commands}) and those of learning.prior, sensors.{conf.prior}.commands "
+            f"({commands}), differ; give both the same"
+        )
+
+
 class CommandHead(nn.Module):
     """Logits and costs (..., C) of the commands, and the action (..., 2): the command of the least cost.
 
-    With a `prior_weight`, the features end with a first guess of the costs. The costs are those of the
-    network and the guess, and so many times the guess once more where they decide. The logits are those of
-    the network, less the deciding guess over the `temperature`. Where the head `draws`, the action is a
-    command drawn by the logits, or the likeliest one where TorchRL's exploration type is deterministic.
+    With a `prior_weight` w, the features of the policy end with a guess of the costs, the prior. The costs
+    are the network's plus the guess, and the action minimises costs + w * guess. The logits are the network's
+    minus (1 + w) * guess / `temperature`; at the initial, infinite temperature they are the network's. Where
+    the head `draws`, the action is a command drawn by the logits, or the likeliest one where TorchRL's
+    exploration type is deterministic.
     """
 
     commands: Tensor
@@ -50,13 +64,14 @@ class CommandHead(nn.Module):
         prior_weight: float | None = None,
     ) -> None:
         super().__init__()
-        self._draws, self._prior_weight = draws, prior_weight
-        # Where the guess ends in the features, behind which there may be others.
+        self._draws = draws
+        self._has_prior, self.prior_weight = prior_weight is not None, prior_weight or 0.0
+        # Where the guess ends; critics have further features behind it.
         self._end = features
         self.body = perceptron(features, hidden, 2 * len(commands))
         self.register_buffer("commands", commands)
-        if prior_weight is not None:
-            self.register_buffer("temperature", torch.ones(()))
+        if self._has_prior:
+            self.register_buffer("temperature", torch.tensor(torch.inf))
             # It begins with the guess.
             last = self.body[-1]
             assert isinstance(last, nn.Linear)
@@ -65,28 +80,34 @@ class CommandHead(nn.Module):
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """In float32 also under autocast."""
-        logits, costs = self.body(features).float().chunk(2, -1)
-        decisive = costs
-        if self._prior_weight is not None:
-            logits = logits - self.decisive_guess(features) / self.temperature
-            costs = costs + self._guess(features)
-            decisive = costs + self._prior_weight * self._guess(features)
+        logits, costs = self.predict(features)
         if not self._draws:
-            chosen = decisive.argmin(-1)
+            chosen = self.choose(costs, features)
         elif exploration_type() == ExplorationType.RANDOM:
             chosen = torch.distributions.Categorical(logits=logits).sample()
         else:
             chosen = logits.argmax(-1)
         return logits, costs, self.commands[chosen]
 
-    def _guess(self, features: Tensor) -> Tensor:
-        return features[..., self._end - len(self.commands) : self._end].float()
+    def predict(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        """Logits and costs (..., C)."""
+        logits, costs = self.body(features).float().chunk(2, -1)
+        if self._has_prior:
+            guess = self.guess(features)
+            logits, costs = logits - (1.0 + self.prior_weight) * guess / self.temperature, costs + guess
+        return logits, costs
 
-    def decisive_guess(self, features: Tensor) -> Tensor:
-        """What the prior adds to the costs (..., C) that decide; zeros without one."""
-        if self._prior_weight is None:
+    def choose(self, costs: Tensor, features: Tensor) -> Tensor:
+        """The number (...) of the command of the least cost, to which the guess is added by its weight."""
+        if self._has_prior:
+            costs = costs + self.prior_weight * self.guess(features)
+        return costs.argmin(-1)
+
+    def guess(self, features: Tensor) -> Tensor:
+        """The costs (..., C) that the prior guesses; zeros without one."""
+        if not self._has_prior:
             return features.new_zeros(len(self.commands))
-        return (1.0 + self._prior_weight) * self._guess(features)
+        return features[..., self._end - len(self.commands) : self._end].float()
 
 
 def make_command_network(

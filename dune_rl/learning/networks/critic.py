@@ -85,4 +85,4 @@ def split_encoders(
     privileged = {*whole.keys} - {*spec.keys}
     hidden = {key: conf for key, conf in architecture.networks.items() if key in privileged}
     rest = {key: conf for key, conf in architecture.networks.items() if key not in privileged}
-    return replace(architecture, networks=rest), replace(architecture, networks=hidden)
+    return replace(architecture, networks=rest), replace(architecture, networks=hidden, prior=None)

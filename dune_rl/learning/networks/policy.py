@@ -131,7 +131,7 @@ class Features(nn.Module):
         self._prior = architecture.prior
         if self._prior is not None and self._prior not in spec.sizes:
             raise ConfigError(
-                f"learning.prior={self._prior} is no vector of the observation; "
+                f"learning.prior={self._prior} is no vector that the policy observes; "
                 f"{advise(self._prior, spec.sizes)}"
             )
         encoded = {*named, self._prior, *(key for keys in self._scans for key in keys)}

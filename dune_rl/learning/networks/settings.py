@@ -66,13 +66,14 @@ class CommandsConf(NetworkConf):
         "adds: command_costs; null: none",
     )
     prior_weight: float = Field(
-        1.0, ge=0, description="times which the guess counts once more where a command is chosen"
+        1.0, ge=0, description="extra weight of that guess where a command is chosen: it counts 1 + this"
     )
     scan_channels: int = Field(16, ge=0, le=1024, description="of the convolutions round the scans; 0: none")
 
     def plain_commands(self) -> dict[str, Any]:
         """What describes the networks beside `Architecture.plain`."""
-        return {"commands": self.commands.model_dump(), "prior_weight": self.prior_weight}
+        weight = 0.0 if self.prior is None else self.prior_weight
+        return {"commands": self.commands.model_dump(), "prior_weight": weight}
 
 
 class ActorCriticConf(NetworkConf):

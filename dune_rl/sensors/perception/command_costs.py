@@ -19,7 +19,7 @@ from dune_rl.sensors.perception.dynamic_window import (
     score_commands,
     window_vehicle,
 )
-from dune_rl.sensors.perception.local_map import way_left
+from dune_rl.sensors.perception.local_map import no_low_obstacles, way_left
 from dune_rl.sensors.perception.way_left import WayLeft
 from dune_rl.sensors.sensor import Reading, VectorSensor
 from dune_rl.sensors.settings import SensorSettings
@@ -105,8 +105,7 @@ class CommandCosts(VectorSensor):
         ranges = tracks.beams
         rests = (ranges < min(_FARTHEST_M, tracks.lidar.range_m - 1e-3)) & ~tracks.moving_beams
         goals = _from_frames(poses, tracks.goals()[:, None])[:, 0]
-        nothing = np.zeros((num, 0, 0), bool), np.zeros((num, 0, 0, 2), np.int32), 1.0
-        steps, places, cell_m = nothing if low is None else low.map
+        steps, places, cell_m = no_low_obstacles(num) if low is None else low.map
         _fill_windows(
             poses, tracks.mount, self._bearings, ranges, rests, steps, places, cell_m,
             way.map.ways, way.map.origins, goals, self._begins, self._circle, self._grids, self._fields,

@@ -245,6 +245,11 @@ def way_left(ways: Any, origin: Any, x: float, y: float) -> float:
     return result
 
 
+def no_low_obstacles(num_rows: int) -> tuple[Flags, Any, float]:
+    """What `LowObstacles.map` gives, where nothing is known of low obstacles."""
+    return np.zeros((num_rows, 0, 0), bool), np.zeros((num_rows, 0, 0, 2), np.int32), CELL_M
+
+
 class LocalMap:
     """Maps (N, cells, cells) of 32 by 32 m that move along with N bodies, in the frames of their odometry.
 
@@ -292,8 +297,8 @@ class LocalMap:
         `poses` (N, 3) of the odometry; `goals` (N, 2) [m] are in the vehicles' frames. `low` is as
         `LowObstacles.map` gives it.
         """
-        nothing = np.zeros((len(poses), 0, 0), bool), np.zeros((len(poses), 0, 0, 2), np.int32), CELL_M
         update_maps(
             poses, self._mount, self._bearings, ranges, sees, moves, goals, self.origins, self._evidence,
-            self._low, self.ways, self._planned, self._ages, self._margin, *(nothing if low is None else low),
+            self._low, self.ways, self._planned, self._ages, self._margin,
+            *(low or no_low_obstacles(len(poses))),
         )  # fmt: skip
