@@ -155,7 +155,7 @@ def write_sheet(view: EpisodeView, path: Path) -> Path:
     for steps, _ in enumerate(view.run()):
         if steps >= last:
             break
-    title = f"{conf.world.name}, seed {conf.seed}, {steps / conf.physics.decision_hz:.1f} s into the episode"
+    title = f"{conf.world.name}, {_shown(conf)}, {steps / conf.physics.decision_hz:.1f} s into the episode"
     if len(view.simulation.agents) > 1:
         title += f", {view.agent}"
     picture = view.render_from_behind(1280, 960, turns_for_agents=True)
@@ -163,6 +163,13 @@ def write_sheet(view: EpisodeView, path: Path) -> Path:
     with write_atomically(path) as temporary:
         figure.savefig(temporary, format="png", dpi=110, facecolor=figure.get_facecolor())
     return path
+
+
+def _shown(conf: ViewConf) -> str:
+    """The seed or the set, and the episode if it is not the first of a seed."""
+    if conf.set is not None:
+        return f"episode {conf.episode} of {Path(conf.set).stem}"
+    return f"seed {conf.seed}" + (f", episode {conf.episode}" if conf.episode else "")
 
 
 def write_video(
