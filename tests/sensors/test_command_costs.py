@@ -52,6 +52,18 @@ def test_commands_into_a_wall_cost_more_than_those_round_it() -> None:
     simulation.close()
 
 
+def test_a_robot_that_stays_where_it_is_is_led_away() -> None:
+    # All ways to the goal are open, and it does not take them.
+    straight = (COMMANDS == (1.0, 0.0)).all(axis=1)
+    back = (COMMANDS == (-1.0, 0.0)).all(axis=1)
+    for steps, recovers in ((70, False), (90, True), (120, False)):
+        costs, simulation = costs_after(steps)
+        assert (costs[back] < 0.5) == recovers
+        assert costs[straight] < 0.5
+        assert costs[STANDING] > 1.0
+        simulation.close()
+
+
 def test_commands_into_the_way_of_a_walker_cost_what_a_contact_does() -> None:
     walker = {"body": "person", "controller": "external", "count": 1}
     simulation = simulation_on(plain(), sensors=SENSORS, actors={"walker": walker})

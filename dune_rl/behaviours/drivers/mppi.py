@@ -7,12 +7,12 @@ from pydantic import Field
 
 from dune_rl.behaviours.drivers.context import BoundBehaviour, DriverContext
 from dune_rl.behaviours.drivers.path_integral_loops import update_controls
-from dune_rl.behaviours.drivers.stuck_recovery import StuckRecovery
 from dune_rl.core.seeding import stream
 from dune_rl.geometry.arrays import Array, Counts, Flags
 from dune_rl.sensors.lidar import beam_angles
 from dune_rl.sensors.perception.local_map import LocalMap
 from dune_rl.sensors.perception.scan_tracks import ScanTracker
+from dune_rl.sensors.perception.stuck_recovery import StuckRecovery
 from dune_rl.sensors.sensor import mount_position
 from dune_rl.state.state import GroupState, State
 

@@ -7,7 +7,6 @@ from pydantic import Field
 
 from dune_rl.behaviours.drivers.context import BoundBehaviour
 from dune_rl.behaviours.drivers.route_map import plan_routes
-from dune_rl.behaviours.drivers.stuck_recovery import StuckRecovery
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import POSE_COLUMNS, wrap_angle
 from dune_rl.sensors.perception.dynamic_window import (
@@ -18,6 +17,7 @@ from dune_rl.sensors.perception.dynamic_window import (
     score_commands,
     window_vehicle,
 )
+from dune_rl.sensors.perception.stuck_recovery import StuckRecovery
 from dune_rl.state.state import GroupState, State
 from dune_rl.worlds.batched_worlds import BatchedWorlds
 

@@ -20,6 +20,7 @@ from dune_rl.sensors.perception.dynamic_window import (
     window_vehicle,
 )
 from dune_rl.sensors.perception.local_map import no_low_obstacles, way_left
+from dune_rl.sensors.perception.stuck_recovery import StuckRecovery
 from dune_rl.sensors.perception.way_left import WayLeft
 from dune_rl.sensors.sensor import Reading, VectorSensor
 from dune_rl.sensors.settings import SensorSettings
@@ -36,6 +37,7 @@ _LOW_RADIUS_M = 0.05
 _AHEAD_M = 0.8
 # Radius of the circle that stands for what moves, and where it is if there is nothing [m].
 _MOVER_RADIUS_M, _NOWHERE_M = 0.35, 1e4
+_WAITS_M = 1.0
 # Room that commands should keep beside obstacles [m].
 _MARGIN_M = 0.1
 
@@ -44,7 +46,8 @@ class CommandCostsConf(SensorSettings):
     """What each command of a grid would cost, by simulating it for 2.5 s over what the robot has seen.
 
     It is the dynamic window of the driver `planner` with readings in place of the truth: the returns of the
-    LiDAR, low obstacles, tracks, and the way left.
+    LiDAR, low obstacles, tracks, and the way left. To a robot that nobody moves near, and that has stayed at
+    a place for 4 s, or for 2 s while it was to drive, for 1.5 s those commands are cheap that lead away.
     """
 
     sensor: Literal["command_costs"] = "command_costs"
@@ -75,6 +78,14 @@ class CommandCosts(VectorSensor):
         self._bearings = np.ascontiguousarray(beam_angles(self._tracks.lidar))
         self._commands = np.column_stack([commands[:, 0], vehicle.yaw_rates(commands[:, 1])])
         self._limits = window_vehicle(vehicle, _MARGIN_M)
+        self._recovery, self._step_s, self._length_m = (
+            StuckRecovery(context.num_rows),
+            context.step_s,
+            vehicle.length_m,
+        )
+        self._speeds = vehicle.min_speed_mps, vehicle.max_speed_mps
+        # With what moves this near, a robot may be waiting for it.
+        self._waits_m = vehicle.footprint_radius_m + _MOVER_RADIUS_M + _WAITS_M
         # The cheapest command of the last look ahead.
         self._likely = np.zeros(context.num_rows, np.int64)
         cells = context.num_rows, _CELLS * _CELLS
@@ -86,9 +97,18 @@ class CommandCosts(VectorSensor):
 
     def begin(self, mask: Flags, now: GroupState, state: State) -> None:
         self._begins, self._is_due = self._begins | mask, True
+        self._recovery.reset(mask)
 
     def measure(self, now: GroupState, state: State) -> None:
         self._begins, self._is_due = np.zeros_like(self._begins), True
+        tracker = self._tracks.tracker
+        if now.last_action is not None:
+            slowest, fastest = self._speeds
+            share = (now.last_action[:, 0] + 1.0) / 2.0
+            self._recovery.record_command(slowest + share * (fastest - slowest))
+        there = np.arange(tracker.moving.shape[1]) < tracker.moving_counts[:, None]
+        apart = np.where(there, np.hypot(tracker.moving[..., 0], tracker.moving[..., 1]), np.inf).min(axis=1)
+        self._recovery.update(tracker.poses, apart < self._waits_m, self._length_m, self._step_s)
 
     def read(self) -> dict[str, Reading]:
         """The latest reading."""
@@ -118,7 +138,7 @@ class CommandCosts(VectorSensor):
         twists = np.ascontiguousarray(self._velocity()[:, :2], np.float64)
         arguments = (
             poses, twists, self._grids, self._fields, self._waypoints, self._clearances, movers, ahead,
-            goals, self._limits, RESPONSE, np.zeros(num, bool),
+            goals, self._limits, RESPONSE, self._recovery.recovering,
         )  # fmt: skip
         score_commands(*arguments, self._commands, self._likely, self._cap, costs)
         self._likely = costs.argmin(axis=1)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dune_rl.behaviours.drivers.planner import ActorMotion
-from dune_rl.behaviours.drivers.stuck_recovery import StuckRecovery
+from dune_rl.sensors.perception.stuck_recovery import StuckRecovery
 
 STEP_S = 0.05
 NOBODY = np.zeros(1, bool)
