@@ -20,7 +20,6 @@ from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import DiscreteSACLoss, SoftUpdate
 
 from dune_rl.core.errors import CheckpointError, ConfigError
-from dune_rl.env.torchrl.episode_metrics import simulation_in
 from dune_rl.learning.algorithm import LearnerContext
 from dune_rl.learning.discrete_sac.settings import DiscreteSacConf
 from dune_rl.learning.networks.commands import CommandHead, check_prior, make_command_network
@@ -301,7 +300,7 @@ class DiscreteSac(MaximumEntropyLearner):
     def check_environment(self, env: EnvBase) -> None:
         """Raise ConfigError where a driver cannot demonstrate, or the prior has other commands."""
         super().check_environment(env)
-        check_prior(self._conf, simulation_in(env).group(self.context.group).suite)
+        check_prior(self._conf, env, self.context.group)
 
     def network_settings(self) -> dict[str, Any]:
         return {**super().network_settings(), **self._conf.plain_commands()}

@@ -65,7 +65,7 @@ class Imitation(Algorithm):
     def check_environment(self, env: EnvBase) -> None:
         """Raise ConfigError for a teacher that cannot drive, a privileged sensor, or a prior's other grid."""
         simulation = simulation_in(env)
-        check_prior(self._conf, simulation.group(self.context.group).suite)
+        check_prior(self._conf, env, self.context.group)
         if hidden := simulation.group(self.context.group).privileged:
             raise ConfigError(
                 f"learning=imitation has no critic that would read the privileged "

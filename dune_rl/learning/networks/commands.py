@@ -6,13 +6,14 @@ from typing import Any
 import torch
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import Tensor, nn
+from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, exploration_type
 
 from dune_rl.core.errors import ConfigError
+from dune_rl.env.torchrl.episode_metrics import simulation_in
 from dune_rl.learning.networks.policy import FEATURES, Architecture, Features, perceptron
 from dune_rl.learning.networks.settings import CommandsConf
 from dune_rl.learning.policy_spec import PolicySpec
-from dune_rl.sensors.suite import SensorSuite
 from dune_rl.state.command_grid import CommandGridConf
 from dune_rl.state.command_grid import command_grid as grid_of_commands
 
@@ -30,9 +31,16 @@ def command_grid(spec: PolicySpec, conf: CommandGridConf) -> Tensor:
     return torch.as_tensor(grid_of_commands(within, spec.low[0], spec.high[0]), dtype=torch.float32)
 
 
-def check_prior(conf: CommandsConf, suite: SensorSuite | None) -> None:
-    """Raise ConfigError where the sensor that is the prior has other commands than the learner."""
-    sensor = None if suite is None or conf.prior is None else suite.settings.get(conf.prior)
+def check_prior(conf: CommandsConf, env: EnvBase, group: str) -> None:
+    """Raise ConfigError where the sensor that is the prior has other commands than the learner of `group`."""
+    if conf.prior is None:
+        return
+    try:
+        suite = simulation_in(env).group(group).suite
+    except TypeError:
+        # An environment that is not of this package has no settings to compare.
+        return
+    sensor = None if suite is None else suite.settings.get(conf.prior)
     commands = getattr(sensor, "commands", conf.commands)
     if commands != conf.commands:
         raise ConfigError(
