@@ -204,7 +204,7 @@ def require_same_networks(
         raise CheckpointError(f"{source} was trained with {other}. {remedy.format(f'learning={other}')}")
     PolicySpec.from_plain(entry["spec"]).require(context.spec, str(source))
     # Published policies are older than `learning.networks` and `learning.prior`.
-    older = {"networks": {}, "prior": None, "prior_weight": 0.0}
+    older: dict[str, Any] = {"networks": {}, "prior": None, "prior_weight": 0.0}
     theirs, ours = {**older, **entry["network"]}, learner.network_settings()
     settings = f"learning.groups.{group}" if conf.groups.get(group) else "learning"
     different = list(_differences(settings, theirs, ours))
