@@ -197,6 +197,7 @@ def test_a_policy_begins_with_the_costs_that_its_prior_guesses(tmp_path: Path) -
         assert torch.equal(acted["action"], command_grid(spec, SMALL)[decisive.argmin(-1)])
     for prior, said in (
         ("guessed", "no vector that the policy observes; did you mean guess"),
+        ("command_costs", r"add \+sensors\.command_costs={}"),
         ("goal", "has 2 v"),
     ):
         wrong = conf.model_copy(update={"prior": prior})

@@ -15,6 +15,7 @@ from dune_rl.core.suggestions import advise
 from dune_rl.learning.networks.registry import ENCODERS, parse_encoder
 from dune_rl.learning.networks.settings import NetworkConf
 from dune_rl.learning.policy_spec import PackedObservation, PartSpec, PolicySpec
+from dune_rl.sensors.registry import SENSORS
 
 _LEAST_RANGE_M = 1e-3
 # Shorter scans go to the networks as they are.
@@ -130,9 +131,11 @@ class Features(nn.Module):
         self._named = sorted(named)
         self._prior = architecture.prior
         if self._prior is not None and self._prior not in spec.sizes:
+            known = SENSORS.settings_class(self._prior) is not None
+            add = f"add +sensors.{self._prior}={{}}, without `privileged`"
             raise ConfigError(
                 f"learning.prior={self._prior} is no vector that the policy observes; "
-                f"{advise(self._prior, spec.sizes)}"
+                f"{add if known else advise(self._prior, spec.sizes)}"
             )
         encoded = {*named, self._prior, *(key for keys in self._scans for key in keys)}
         self._vectors = [key for key in spec.sizes if key not in encoded]
