@@ -37,6 +37,7 @@ _LOW_RADIUS_M = 0.05
 _AHEAD_M = 0.8
 # Radius of the circle that stands for what moves, and where it is if there is nothing [m].
 _MOVER_RADIUS_M, _NOWHERE_M = 0.35, 1e4
+# A robot may be waiting for what moves within this of its outline [m].
 _WAITS_M = 1.0
 # Room that commands should keep beside obstacles [m].
 _MARGIN_M = 0.1
@@ -78,13 +79,9 @@ class CommandCosts(VectorSensor):
         self._bearings = np.ascontiguousarray(beam_angles(self._tracks.lidar))
         self._commands = np.column_stack([commands[:, 0], vehicle.yaw_rates(commands[:, 1])])
         self._limits = window_vehicle(vehicle, _MARGIN_M)
-        self._recovery, self._step_s, self._length_m = (
-            StuckRecovery(context.num_rows),
-            context.step_s,
-            vehicle.length_m,
-        )
+        self._recovery = StuckRecovery(context.num_rows)
+        self._step_s, self._length_m = context.step_s, vehicle.length_m
         self._speeds = vehicle.min_speed_mps, vehicle.max_speed_mps
-        # With what moves this near, a robot may be waiting for it.
         self._waits_m = vehicle.footprint_radius_m + _MOVER_RADIUS_M + _WAITS_M
         # The cheapest command of the last look ahead.
         self._likely = np.zeros(context.num_rows, np.int64)
