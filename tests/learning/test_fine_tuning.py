@@ -88,7 +88,7 @@ def test_it_learns_on_and_is_resumed_without_its_source(source: Path, tmp_path: 
 def test_what_does_not_fit_is_named_with_its_setting(source: Path, tmp_path: Path) -> None:
     with pytest.raises(CheckpointError, match=r"learning\.start_from: There is no .*none\.pt"):
         begun(tmp_path / "a", tmp_path / "none.pt")
-    shape = r"learning\.start_from: .*another shape\. Set learning\.hidden=\[8\]"
+    shape = r"learning\.start_from: .*has other networks\. Set learning\.hidden=\[8\]"
     with pytest.raises(CheckpointError, match=shape):
         begun(tmp_path / "b", source, hidden=(4,))
     walker = {"walker": {"start_from": str(source), "hidden": [4]}}
