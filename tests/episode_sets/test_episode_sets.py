@@ -119,7 +119,12 @@ def test_rows_come_out_of_their_recipe_again_and_start(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_all_episodes_start(name: str) -> None:
-    assert faulty_episodes(read_episode_set(name)) == []
+    """Of a set with many sites, the episodes of one site in ten: building a site takes seconds."""
+    episode_set = read_episode_set(name)
+    seeds = list(dict.fromkeys(row.world_seed for row in episode_set.episodes))
+    kept = set(seeds if len(seeds) <= 50 else seeds[::10])
+    numbers = [row.episode for row in episode_set.episodes if row.world_seed in kept]
+    assert faulty_episodes(episode_set, numbers) == []
 
 
 def test_planned_episodes_are_the_same_in_any_number_of_scenes() -> None:
