@@ -38,6 +38,7 @@ BEHAVIOURS: Registry[Behaviour] = Registry(
     "dune_rl.behaviours.registry:BEHAVIOURS",
     own={
         "crossing": "dune_rl.behaviours.pursuit:Crossing",
+        "dwa": "dune_rl.behaviours.drivers.dwa:Dwa",
         "flee": "dune_rl.behaviours.pursuit:Flee",
         "follow": "dune_rl.behaviours.pursuit:Follow",
         "go_to_goal": "dune_rl.behaviours.go_to_goal:GoToGoal",

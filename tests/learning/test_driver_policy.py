@@ -8,12 +8,14 @@ from dune_rl.core.errors import ConfigError
 from dune_rl.learning.drivers import DRIVERS
 from dune_rl.learning.evaluation import evaluate
 from dune_rl.learning.policies import built_in_policy
+from dune_rl.state.command_grid import CommandGridConf, command_grid
 
 SHORT = "task.terminations.time_limit.max_steps=60"
+SENSORS = {"dwa": ["sensors=perception", "+sensors.command_costs={}"]}
 
 
 def rows_of(name: str, scenes: int) -> list[dict[str, float]]:
-    env = make_learning_env(compose_environment("flat", [SHORT]), scenes, 0)
+    env = make_learning_env(compose_environment("flat", [SHORT, *SENSORS.get(name, ())]), scenes, 0)
     rows = evaluate(built_in_policy(name, env, 5), env, 4, 5)["rover"]
     env.close()
     return rows
@@ -33,6 +35,29 @@ def test_joints_are_refused(name: str) -> None:
     env = make_learning_env(conf, 1, 0)
     with pytest.raises(ConfigError, match=f"{name} cannot act for the group hyperdog: .* 12 components"):
         built_in_policy(name, env)
+    env.close()
+
+
+def test_dwa_takes_the_cheapest_command_and_says_which_sensor_it_lacks() -> None:
+    env = make_learning_env(compose_environment("flat", [SHORT, *SENSORS["dwa"]]), 2, 0)
+    policy, observation = built_in_policy("dwa", env), env.reset()
+    for _ in range(8):
+        costs = observation["rover", "observation", "command_costs"].reshape(2, -1)
+        observation = policy(observation)
+        speed, heading = observation["rover", "action"].reshape(2, 2).T
+        grid = command_grid(CommandGridConf(), -1.0, 1.0)[costs.argmin(-1).numpy()]
+        assert speed.numpy() == pytest.approx(grid[:, 0]) and heading.numpy() == pytest.approx(grid[:, 1])
+        observation = env.step_mdp(env.step(observation))
+    env.close()
+    assert len(set(speed.tolist() + heading.tolist())) > 1
+    env = make_learning_env(compose_environment("flat", []), 1, 0)
+    with pytest.raises(ConfigError, match=r"needs the sensor command_costs; add sensors=perception"):
+        built_in_policy("dwa", env)
+    env.close()
+    words = ["sensors=perception", "+sensors.command_costs={commands: {headings: 9}}"]
+    env = make_learning_env(compose_environment("flat", words), 1, 0)
+    with pytest.raises(ConfigError, match=r"dwa has 195 commands, and the sensor command_costs costs of 117"):
+        built_in_policy("dwa", env)
     env.close()
 
 

@@ -124,8 +124,13 @@ class EpisodeView:
         self._env.close()
 
 
-# What built-in policies read, where it is not `goal` alone.
-SENSORS_OF_POLICIES = {"mppi": ("lidar", "goal", "velocity"), "oracle": (), "planner": ()}
+# What built-in policies read, where it is not `goal` alone; None: what the sensors make of others.
+SENSORS_OF_POLICIES: dict[str, tuple[str, ...] | None] = {
+    "dwa": None,
+    "mppi": ("lidar", "goal", "velocity"),
+    "oracle": (),
+    "planner": (),
+}
 
 
 def policy_factory(conf: ViewConf, env: EnvBase) -> Callable[[], Policy]:

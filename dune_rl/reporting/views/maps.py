@@ -145,6 +145,8 @@ def _with_needed_sensors(conf: ViewConf) -> ViewConf:
     if conf.checkpoint is not None or any(reads_sensors(group.controller) for group in conf.groups):
         return conf
     needed = SENSORS_OF_POLICIES.get(conf.policy or "", ("goal",))
+    if needed is None:
+        return conf
     return conf.model_copy(update={"sensors": parse_sensors({**conf.sensors, "enabled": needed})})
 
 
