@@ -237,8 +237,8 @@ def test_a_sweep_gives_each_job_its_folder_and_outlives_a_failure(
         (evaluate, ["verify=file", "sample=0"], "sample must be a whole number of at least 1 (got 0)\n"),
         (evaluate, ["-m", "policy=random"], "this command runs once; leave -m out\n"),
         (evaluate, ["+world=flat"],
-         "choose a policy: checkpoint=PATH, or policy=NAME with dwa, go_to_goal, mppi, oracle, planner, random, "
-         "FILE.onnx or MODULE:FUNCTION\n"),
+         "choose a policy: checkpoint=PATH, or policy=NAME with dwa, go_to_goal, mppi, oracle, planner, "
+         "random, FILE.onnx or MODULE:FUNCTION\n"),
     ],
 )  # fmt: skip
 def test_bad_input(
