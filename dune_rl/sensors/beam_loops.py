@@ -6,6 +6,11 @@ import numpy as np
 
 from dune_rl.geometry.compiled import compile_function
 
+# What two neighbouring rings meet is upright if it rises by so much per metre, and by at least this [m].
+_UPRIGHT, _LEAST_RISE_M = 0.8, 0.04
+# What is higher over the LiDAR is in nobody's way [m].
+_OVERHEAD_M = 1.2
+
 
 @compile_function
 def nearest_in_segments(ranges: Any, found: Any) -> None:
@@ -81,3 +86,32 @@ def nearest_seen_from(
                 found[row, segment] = min(found[row, segment], np.sqrt(ahead * ahead + aside * aside))
         for segment in range(segments):
             found[row, segment] = max(found[row, segment], nearest)
+
+
+@compile_function
+def nearest_upright(ranges: Any, rises: Any, nearest: float, farthest: float, found: Any) -> None:
+    """Level distance of the nearest upright thing in each of B bearings, `found` (N, B) [m].
+
+    `ranges` (N, R, B) [m] are those of R rings, the lowest first, `farthest` where nothing returns, and
+    `rises` (N, R, B) the sines of their elevations over the level plane. Distances are between `nearest` and
+    `farthest`. As ground and obstacles are told apart by the angle between rings in Bogoslavskyi and
+    Stachniss, "Fast range image-based segmentation of sparse 3D laser scans" (2016).
+    """
+    rows, rings, beams = ranges.shape
+    for row in range(rows):
+        for beam in range(beams):
+            least = farthest
+            below_m, below_z_m = np.inf, 0.0
+            for ring in range(rings):
+                along = ranges[row, ring, beam]
+                if along >= farthest:
+                    below_m = np.inf
+                    continue
+                z_m = along * rises[row, ring, beam]
+                level_m = np.sqrt(max(along * along - z_m * z_m, 0.0))
+                rise_m = z_m - below_z_m
+                is_upright = rise_m > _LEAST_RISE_M and rise_m > _UPRIGHT * abs(level_m - below_m)
+                if is_upright and below_z_m < _OVERHEAD_M:
+                    least = min(least, level_m)
+                below_m, below_z_m = level_m, z_m
+            found[row, beam] = max(least, nearest)

@@ -9,8 +9,8 @@ from pydantic import Field, model_validator
 from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.geometry.shared_per_scene import AnyRays
 from dune_rl.rendering.moving_mesh import MovingMesh
-from dune_rl.sensors.beam_loops import find_ends, nearest_in_segments
-from dune_rl.sensors.beams import Beams, FieldOfView, LargestRange, bearings, fan
+from dune_rl.sensors.beam_loops import find_ends, nearest_in_segments, nearest_upright
+from dune_rl.sensors.beams import Beams, Elevation, FieldOfView, LargestRange, bearings, fan
 from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.medium import RangeEffect, effects_of
 from dune_rl.sensors.realism.lidar import BeamFaults, LidarRealismConf
@@ -41,13 +41,28 @@ class ScannerConf(SensorSettings):
 
 
 class LidarConf(ScannerConf):
-    """Beams, range and mount. The defaults are the paper's: 128 beams round the rover, 32 values, 12 m."""
+    """Beams, range and mount. The defaults are the paper's: 128 beams round the rover, 32 values, 12 m.
+
+    With `rings_deg`, there are as many beams in each ring, and a scan has the nearest upright thing of each
+    bearing: slopes are no obstacles, and those who stand on one are seen from below and above it.
+    """
 
     default_realism: ClassVar = LidarRealismConf.model_validate("rplidar_a2m8")
 
     sensor: Literal["lidar"] = "lidar"
     n_beams: int = Field(128, ge=1, le=16_384, description="beams of a scan")
     n_segments: int = Field(32, ge=1, le=16_384, description="values observed: nearest returns of beams")
+    rings_deg: tuple[Elevation, ...] = Field(
+        (), max_length=128, description="elevations of the rings of a LiDAR of several, rising [deg]; (): one"
+    )
+
+    @model_validator(mode="after")
+    def _rising_rings(self) -> Self:
+        if len(self.rings_deg) == 1 or any(np.diff(self.rings_deg) <= 0.0):
+            raise ValueError(
+                f"rings_deg must be at least two rising elevations, or none (got {list(self.rings_deg)})"
+            )
+        return self
 
     @model_validator(mode="after")
     def _even_segments(self) -> Self:
@@ -102,24 +117,43 @@ class LidarSensor(VectorSensor):
     """The reading `name`, (N, n_segments) [m]: the nearest return of each segment of a scan.
 
     `lidar` is its geometry. `ranges` (N, n_beams) [m] are those of the latest scan, with what beams meet in
-    the air and the faults of a real device.
+    the air and the faults of a real device. Of several rings they are distances in the level plane, by the
+    robot's attitude.
     """
 
     def __init__(self, name: str, context: SensorContext, conf: LidarConf) -> None:
         limits_m = conf.min_range_m, conf.range_m
         super().__init__(name, context.num_rows, *(np.full(conf.n_segments, limit) for limit in limits_m))
         self.lidar = Lidar(conf, context.solid, context.meshes)
+        self._navigation = context.navigation
+        self._rings: Beams | None = None
+        cast: Beams = self.lidar
+        if conf.rings_deg:
+            directions_b = fan(beam_angles(conf), np.deg2rad(conf.rings_deg)).reshape(-1, 3)
+            cast = Beams(directions_b, conf.mount_b, conf.range_m, context.solid, context.meshes)
+            self._rings = cast
         self._effects: list[RangeEffect] = [
-            *effects_of(context.air, name, self.lidar.directions_b, conf.mount_b, limits_m)
+            *effects_of(context.air, name, cast.directions_b, conf.mount_b, limits_m)
         ]
         if conf.realism is not None:
-            self._effects.append(BeamFaults(conf.realism, limits_m, name, beam_angles(conf)))
+            level = None if conf.rings_deg else beam_angles(conf)
+            self._effects.append(BeamFaults(conf.realism, limits_m, name, level))
         self.ranges: Floats = np.zeros((context.num_rows, conf.n_beams), np.float32)
 
     def measure(self, now: GroupState, state: State) -> None:
-        self.ranges = self.lidar.ranges(now.motion.position_w, now.motion.rotation, now.neighbours)
+        motion, conf = now.motion, self.lidar.conf
+        cast = self._rings or self.lidar
+        ranges = cast.ranges(motion.position_w, motion.rotation, now.neighbours)
         for effect in self._effects:
-            self.ranges = effect.applied(self.ranges, now)
+            ranges = effect.applied(ranges, now)
+        if self._rings is not None:
+            known = motion.rotation if self._navigation is None else self._navigation.rotation
+            shape = len(ranges), len(conf.rings_deg), conf.n_beams
+            rises = (known[:, 2] @ self._rings.directions_b.T).reshape(shape)
+            found = np.empty((len(ranges), conf.n_beams), np.float32)
+            nearest_upright(ranges.reshape(shape), rises, conf.min_range_m, conf.range_m, found)
+            ranges = found
+        self.ranges = ranges
         self._reading = self.lidar.segments(self.ranges)
 
 

@@ -157,6 +157,22 @@ VORT_METRICS: dict[str, Any] = {
 }
 
 
+def perception_sensors(**lidar: Any) -> dict[str, SensorSettings]:
+    """What `sensors=perception` has, by a LiDAR with these settings."""
+    return parse_sensors(
+        {
+            "lidar": lidar,
+            **{
+                name: {"sensor": "lidar_past", "past_s": past_s}
+                for name, past_s in (("past_025", 0.25), ("past_05", 0.5), ("past_1", 1.0))
+            },
+            **{name: {} for name in ("agent_tracks", "ground_profile", "low_obstacles")},
+            "way_left": {"low_obstacles": "low_obstacles"},
+            **{name: {} for name in ("goal_direction", "velocity", "imu_6axis", "last_action")},
+        }
+    )
+
+
 def actor_sensors(**neighbours: bool) -> dict[str, SensorSettings]:
     """What actors that learn observe."""
     return parse_sensors(
@@ -277,17 +293,9 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
             "lidar_3d": {"outputs": ["range", "intensity", "segmentation"]},
         }
     ),
-    ("sensors", "perception"): parse_sensors(
-        {
-            "lidar": {"n_segments": 64},
-            **{
-                name: {"sensor": "lidar_past", "past_s": past_s}
-                for name, past_s in (("past_025", 0.25), ("past_05", 0.5), ("past_1", 1.0))
-            },
-            **{name: {} for name in ("agent_tracks", "ground_profile", "low_obstacles")},
-            "way_left": {"low_obstacles": "low_obstacles"},
-            **{name: {} for name in ("goal_direction", "velocity", "imu_6axis", "last_action")},
-        }
+    ("sensors", "perception"): perception_sensors(n_segments=64),
+    ("sensors", "perception_3d"): perception_sensors(
+        n_segments=64, rings_deg=[-14, -10, -6, -2, 2, 6, 10, 14]
     ),
     ("sensors", "walker"): walker_sensors(),
     ("task", "point_goal"): TaskConf(),

@@ -9,14 +9,16 @@ from poses import seen_at
 from pydantic import ValidationError
 from scanning import flat_with, lidar_in, turned
 from scenes import about
+from sensor_contexts import context_of, rays_of
 from sensors_of_rover_zero import lidar_conf
 from simulations import rest, started_simulation
+from states import group_state, measure, standing_at
 
 from dune_rl.bodies.person import PersonConf
 from dune_rl.config.build import build_world
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.geometry.heightfield import HeightField
-from dune_rl.sensors.lidar import beam_angles
+from dune_rl.sensors.lidar import LidarSensor, beam_angles
 from dune_rl.worlds.flat import FlatConf, build_flat
 from dune_rl.worlds.inspection.build import InspectionConf
 from dune_rl.worlds.world import World
@@ -285,3 +287,27 @@ def test_a_moving_actor_is_seen_where_it_is_at_that_instant():
             assert lidar[scene].min() == pytest.approx(apart - 0.25, abs=0.02)
     scenes.close()
     assert seen > 30
+
+
+RINGS_DEG = (-14.0, -10.0, -6.0, -2.0, 2.0, 6.0, 10.0, 14.0)
+
+
+def test_a_lidar_of_rings_sees_what_stands_on_ground_and_not_the_ground() -> None:
+    """Nose down by 10 degrees, a level ring meets the ground 1.9 m ahead."""
+    world = flat_with((4.0, 0.0, 0.0, 1.0, 12.0))
+    context = context_of(solid=rays_of(world))
+    now = group_state(standing_at(np.array([STANDING]), np.zeros(1), pitch=np.deg2rad(10.0)))
+    ahead = {}
+    for rings_deg in ((), RINGS_DEG):
+        sensor = LidarSensor("lidar", context, lidar_conf(n_segments=128, rings_deg=rings_deg))
+        measure(sensor, now)
+        ahead[rings_deg] = sensor.read()["lidar"][0, 64]
+    mount_x = mount(STANDING, now.motion.rotation[0])[0]
+    assert ahead[()] < 2.1
+    assert ahead[RINGS_DEG] == pytest.approx(3.5 - mount_x, abs=1e-3)
+
+
+@pytest.mark.parametrize("rings_deg", [[0.0], [4.0, 2.0], [1.0, 1.0]])
+def test_the_elevations_of_rings_rise(rings_deg: list[float]) -> None:
+    with pytest.raises(ValidationError, match="rings_deg must be at least two rising elevations, or none"):
+        lidar_conf(rings_deg=rings_deg)

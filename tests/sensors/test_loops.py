@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from dune_rl.geometry.frames import rotation_matrices
-from dune_rl.sensors.beam_loops import find_ends, nearest_in_segments, nearest_seen_from, turn_beams
+from dune_rl.sensors.beam_loops import (
+    find_ends,
+    nearest_in_segments,
+    nearest_seen_from,
+    nearest_upright,
+    turn_beams,
+)
 from dune_rl.sensors.pixels import depths_along_axis, look_up_colours, tile_order, unpack_colours
 
 RNG = np.random.default_rng(0)
@@ -112,3 +118,39 @@ def test_ends_count_where_they_lie(full_circle):
             expected = np.clip(min(there, default=9.0), 0.5, 9.0)
             np.testing.assert_allclose(found[row, segment], expected, rtol=1e-5)
     assert (found[0] == 9.0).all() and (found[1:] < 9.0).any()
+
+
+def rings_over_a_slope(slope: float, wall_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Ranges and sines of eight rings, 0.3 m over ground that rises by `slope`, with a wall of 1.6 m."""
+    elevation = np.deg2rad(np.arange(-14.0, 15.0, 4.0))
+    level, up = np.cos(elevation), np.sin(elevation)
+    with np.errstate(divide="ignore"):
+        ground = np.where(up < slope * level, 0.3 / (slope * level - up), np.inf)
+    height = up * wall_m / level + 0.3 - slope * wall_m
+    wall = np.where((height > 0.0) & (height < 1.6), wall_m / level, np.inf)
+    ranges = np.minimum(np.minimum(ground, wall), 12.0).astype(np.float32)
+    return ranges[None, :, None], up[None, :, None]
+
+
+@pytest.mark.parametrize("slope", [-0.25, 0.0, 0.25, 0.45])
+def test_rings_see_no_slopes(slope: float) -> None:
+    found = np.zeros((1, 1), np.float32)
+    nearest_upright(*rings_over_a_slope(slope, 50.0), 0.1, 12.0, found)
+    assert found[0, 0] == pytest.approx(12.0)
+
+
+@pytest.mark.parametrize("slope", [-0.25, 0.0, 0.25])
+def test_rings_see_walls_on_slopes(slope: float) -> None:
+    found = np.zeros((1, 1), np.float32)
+    nearest_upright(*rings_over_a_slope(slope, 3.0), 0.1, 12.0, found)
+    assert found[0, 0] == pytest.approx(3.0, abs=1e-4)
+
+
+@pytest.mark.parametrize(("lowest_m", "seen_m"), [(0.8, 4.0), (1.3, 12.0)])
+def test_rings_see_nothing_overhead(lowest_m: float, seen_m: float) -> None:
+    over_m = np.array([lowest_m, lowest_m + 0.4])
+    along_m = np.hypot(4.0, over_m)
+    found = np.zeros((1, 1), np.float32)
+    ranges, rises = along_m.astype(np.float32)[None, :, None], (over_m / along_m)[None, :, None]
+    nearest_upright(ranges, rises, 0.1, 12.0, found)
+    assert found[0, 0] == pytest.approx(seen_m, abs=1e-4)
