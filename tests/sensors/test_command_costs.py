@@ -81,6 +81,25 @@ def test_commands_into_the_way_of_a_walker_cost_what_a_contact_does() -> None:
     simulation.close()
 
 
+def test_passing_a_walker_closely_costs_more_where_gaps_are_uncertain() -> None:
+    walker = {"body": "person", "controller": "external", "count": 1}
+    straight = (COMMANDS == (1.0, 0.0)).all(axis=1)
+    costs = {}
+    for growth_mps in (0.0, 0.25):
+        own = {"gap_error_m": 0.0, "gap_error_growth_mps": growth_mps}
+        simulation = simulation_on(
+            plain(), sensors={**PERCEPTION, "command_costs": own}, actors={"walker": walker}
+        )
+        simulation.reset(requests={0: {"rover_0": AgentRequest((-2.0, 0.0, 0.0), (3.0, 0.0))}})
+        # It comes towards the rover, and will pass it 0.4 m beside its outline.
+        put_walkers(simulation, [[2.5, 0.95, 0.0, np.pi]])
+        for _ in range(30):
+            simulation.step({"rover": np.zeros((1, 1, 2)), "walker": np.array([[[1.0, 0.0]]])})
+        costs[growth_mps] = simulation.observe("rover")["command_costs"][0, 0][straight]
+        simulation.close()
+    assert costs[0.25] > costs[0.0] + 0.5
+
+
 def test_costs_depend_on_no_other_scene_and_repeat() -> None:
     def of(scenes: int) -> Any:
         simulation: VectorSimulation = simulation_on(

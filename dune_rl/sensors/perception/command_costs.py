@@ -47,14 +47,19 @@ class CommandCostsConf(SensorSettings):
     """What each command of a grid would cost, by simulating it for 2.5 s over what the robot has seen.
 
     It is the dynamic window of the driver `planner` with readings in place of the truth: the returns of the
-    LiDAR, low obstacles, tracks, and the way left. To a robot that nobody moves near, and that has stayed at
-    a place for 4 s, or for 2 s while it was to drive, for 1.5 s those commands are cheap that lead away.
+    LiDAR, low obstacles, tracks, and the way left. Gaps to tracks are uncertain, and the more the later; what
+    a contact costs counts by its probability. To a robot that nobody moves near, and that has stayed at a
+    place for 4 s, or for 2 s while it was to drive, for 1.5 s those commands are cheap that lead away.
     """
 
     sensor: Literal["command_costs"] = "command_costs"
     realism: None = Field(None, description="none of its own: that of what it reads")
     way_left: str = Field("way_left", description="name of the sensor whose ways, tracks and scans it takes")
     commands: CommandGridConf = CommandGridConf()
+    gap_error_m: float = Field(0.06, ge=0.0, le=1.0, description="standard deviation of gaps to tracks [m]")
+    gap_error_growth_mps: float = Field(
+        0.25, ge=0.0, le=2.0, description="its growth within the look ahead [m/s]"
+    )
     max_cost: float = Field(8.0, gt=0.0, le=100.0, description="of a command above the best one's [m]")
 
 
@@ -78,7 +83,8 @@ class CommandCosts(VectorSensor):
         self._velocity = context.reading_of("velocity")
         self._bearings = np.ascontiguousarray(beam_angles(self._tracks.lidar))
         self._commands = np.column_stack([commands[:, 0], vehicle.yaw_rates(commands[:, 1])])
-        self._limits = window_vehicle(vehicle, _MARGIN_M)
+        gap_error = conf.gap_error_m, conf.gap_error_growth_mps
+        self._limits = window_vehicle(vehicle, _MARGIN_M, gap_error=gap_error)
         self._recovery = StuckRecovery(context.num_rows)
         self._step_s, self._length_m = context.step_s, vehicle.length_m
         self._speeds = vehicle.min_speed_mps, vehicle.max_speed_mps

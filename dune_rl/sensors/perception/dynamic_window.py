@@ -2,7 +2,8 @@
 
 `vehicle`, of `window_vehicle`, is (lowest speed [m/s], highest, largest yaw rate [rad/s], smallest turning
 radius [m], distance [m] of the outer discs from the origin, the discs' radius [m], radius of the circle round
-all [m], margin [m] beside static obstacles).
+all [m], margin [m] beside static obstacles, standard deviation of gaps to what moves: now [m], and its growth
+[m/s]; 0: they are exact).
 `response` is (largest acceleration [m/s²], largest yaw acceleration [rad/s²]). A grid is (x [m] and y of its
 first cell's centre, cells per metre, number of rows, number of columns), its values row after row.
 """
@@ -30,6 +31,8 @@ _TURN_STEPS = 7
 # Costs are in metres of level way. That of a contact with a moving body falls with its time, as actors turn.
 _HIT_COST = 60.0
 _HIT_DECAY_S = 1.5
+# Gaps of more standard deviations than this hold.
+_LIKELY = 3.0
 # A contact with an obstacle that comes later than this can be avoided by braking: the way ends before it.
 _BRAKE_S = 0.6
 _BLOCKED_COST = 0.5
@@ -47,7 +50,12 @@ _FACING_M = 0.7
 _ARRIVED_M = 0.3
 
 
-def window_vehicle(vehicle: Unicycle, margin_m: float, speed_mps: float = math.inf) -> tuple[float, ...]:
+def window_vehicle(
+    vehicle: Unicycle,
+    margin_m: float,
+    speed_mps: float = math.inf,
+    gap_error: tuple[float, float] = (0.0, 0.0),
+) -> tuple[float, ...]:
     """The numbers that the loops read of a vehicle, which is to be no faster than `speed_mps`."""
     reach = vehicle.length_m / _DISCS
     return (
@@ -59,6 +67,7 @@ def window_vehicle(vehicle: Unicycle, margin_m: float, speed_mps: float = math.i
         math.hypot(reach / 2, vehicle.width_m / 2),
         vehicle.footprint_radius_m,
         margin_m,
+        *gap_error,
     )
 
 
@@ -154,7 +163,10 @@ def _command_cost(
     pose: Any, twist: Any, command: Any, maps: Any, places: Any, actors: Any, goal: Any, vehicle: Any,
     response: Any, recovers: bool, best: float,
 ) -> float:  # fmt: skip
-    """Cost of a command (speed, yaw rate, yaw rate after 0.7 s) for 2.5 s; inf where it exceeds `best`."""
+    """Cost of a command (speed, yaw rate, yaw rate after 0.7 s) for 2.5 s; inf where it exceeds `best`.
+
+    Where gaps to what moves are not exact, the largest expected cost of a contact is added.
+    """
     grid, field, waypoints, clearance = maps
     x, y, yaw = pose[0], pose[1], pose[2]
     speed, turn = twist[0], twist[1]
@@ -162,7 +174,7 @@ def _command_cost(
     # Who touches already pays for the time until it is out, but hits only what it goes deeper into.
     static_limit = static - _DEEPER_M if static <= 0.0 else 0.0
     moving_limit = moving - _DEEPER_M if moving <= 0.0 else 0.0
-    near, travelled = 0.0, 0.0
+    near, travelled, risk = 0.0, 0.0, 0.0
     for step in range(STEPS):
         wanted_turn = command[1] if step < _TURN_STEPS else command[2]
         change, turn_change = response[0] * STEP_S, response[1] * STEP_S
@@ -192,6 +204,10 @@ def _command_cost(
                 x, y, yaw = last_x, last_y, last_yaw
                 break
             near += _TOUCHING_COST_PER_S * STEP_S * (1.0 - static / _MARGIN_M)
+        spread = vehicle[8] + vehicle[9] * time
+        if spread > 0.0 and moving < _LIKELY * spread:
+            chance = 0.5 * math.erfc(max(moving, 0.0) / (math.sqrt(2.0) * spread))
+            risk = max(risk, chance * _HIT_COST * np.exp(-time / _HIT_DECAY_S))
         pace = 0.3 + abs(speed)
         near += _NEAR_COST_PER_S * pace * STEP_S * max(0.0, 1.0 - max(static, 0.0) / _NEAR_STATIC_M) ** 2
         near += _MARGIN_COST_PER_S * STEP_S * max(0.0, 1.0 - max(static, 0.0) / vehicle[7])
@@ -199,8 +215,8 @@ def _command_cost(
         if near > best and not recovers:
             return np.inf
         if not recovers and length(goal[0] - x, goal[1] - y) < _ARRIVED_M:
-            return near + 0.1 * time
-    near += _TURN_COST * abs(command[1])
+            return near + risk + 0.1 * time
+    near += risk + _TURN_COST * abs(command[1])
     if recovers:
         return near - length(x - pose[0], y - pose[1])
     near += interpolate_grid(grid, field, x, y) + _FACING_M * _misalignment(grid, waypoints, x, y, yaw)
