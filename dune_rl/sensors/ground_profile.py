@@ -14,6 +14,9 @@ from dune_rl.sensors.sensor import MOUNT, Mount, VectorSensor, mount_position
 from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.state import GroupState, State
 
+# A ray whose sine points down by this, 18.5 degrees, and that meets nothing so far away [m], is over a drop.
+_STEEP, _DEEP_M = 0.317, 12.0
+
 
 class GroundProfileConf(SensorSettings):
     """Columns side by side over `fov_deg`, each a fan of `rows` rays between two elevations.
@@ -53,6 +56,8 @@ class GroundProfile(VectorSensor):
 
     `points` (N, P, 3) are the hits [m], forward, left and up of the robot's ground in its level frame, and
     `sees` (N, P) tells which rays have one; `pitch_sine` (N,) is the sine of the climb of the robot's axis.
+    Where `drops` (N, P), there is no ground: a ray that points so steeply down meets nothing, also far below.
+    Its point is where it would meet the level of the robot's ground.
     """
 
     def __init__(self, name: str, context: SensorContext, conf: GroundProfileConf) -> None:
@@ -64,20 +69,29 @@ class GroundProfile(VectorSensor):
         elevation = np.linspace(lowest, highest_up, conf.rows)
         self._mount_b = mount_position(conf.mount_b)
         self.points = np.zeros((context.num_rows, conf.rows * conf.columns, 3))
-        self.sees = np.zeros(self.points.shape[:2], bool)
+        self.sees = self.drops = np.zeros(self.points.shape[:2], bool)
         self.pitch_sine = np.zeros(context.num_rows)
         self._beams = Beams(
-            fan(bearing, elevation).reshape(-1, 3), conf.mount_b, conf.range_m, context.solid, context.meshes
+            fan(bearing, elevation).reshape(-1, 3),
+            conf.mount_b,
+            max(conf.range_m, _DEEP_M),
+            context.solid,
+            context.meshes,
         )
 
     def measure(self, now: GroupState, state: State) -> None:
         conf, motion = self._conf, now.motion
         ranges: Floats = self._beams.ranges(motion.position_w, motion.rotation, now.neighbours)
         known = motion.rotation if self._navigation is None else self._navigation.rotation
+        level = _level(known).transpose(0, 2, 1)
+        down = -(self._beams.directions_b @ level)[..., 2]
+        self.drops = (down > _STEEP) & (ranges >= np.float32(max(conf.range_m, _DEEP_M)))
+        over_m = (self._mount_b @ level)[:, 2] + (conf.standing_height_m or 0.0)
+        ranges = np.where(self.drops, over_m[:, None] / np.maximum(down, _STEEP), ranges)
         hits_b = self._mount_b + ranges[..., None] * self._beams.directions_b
-        self.points = hits_b @ _level(known).transpose(0, 2, 1)
+        self.points = hits_b @ level
         self.points[..., 2] += conf.standing_height_m or 0.0
-        self.sees = ranges < np.float32(conf.range_m)
+        self.sees = (ranges < np.float32(conf.range_m)) & ~self.drops
         self.pitch_sine = known[:, 2, 0]
         self._store(np.where(self.sees, self.points[..., 2], -conf.limit_m))
 

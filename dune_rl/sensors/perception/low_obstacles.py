@@ -52,9 +52,10 @@ class LowObstacles(VectorSensor):
     """The reading `name`, (N, n_segments) [m]: distance of the nearest step in each segment of a scan.
 
     Steps are where the ground rises by more than 5 cm beyond a slope, or stands out of the plane around by
-    4.5 cm: stones, bricks, kerbs, walls. Segments and distances are from the LiDAR's mount. Heights are those
-    of the rays' hits, by the robot's attitude and speed readings and by ground that is seen again; what moves
-    in the scan is left out, and a step fades where lower ground is seen.
+    4.5 cm: stones, bricks, kerbs, walls; and where the ground ends. Segments and distances are from the
+    LiDAR's mount. Heights are those of the rays' hits, by the robot's attitude and speed readings and by
+    ground that is seen again; what moves in the scan is left out, and a step fades where lower ground is
+    seen.
     """
 
     def __init__(self, name: str, context: SensorContext, conf: LowObstaclesConf) -> None:
@@ -96,8 +97,8 @@ class LowObstacles(VectorSensor):
         found = self._reading.copy()
         _update(
             mask, tracks.tracker.poses, tracks.mount, tracks.bearings, tracks.ranges, tracks.moves,
-            self._climbed_m, profile.points, profile.sees, self._heights, self._places, self._steps,
-            self._high[0], found,
+            self._climbed_m, profile.points, profile.sees, profile.drops, self._heights, self._places,
+            self._steps, self._high[0], found,
         )  # fmt: skip
         self._store(found)
 
@@ -105,14 +106,15 @@ class LowObstacles(VectorSensor):
 @compile_function
 def _update(
     mask: Any, poses: Any, mount: Any, bearings: Any, ranges: Any, moves: Any, height: Any, points: Any,
-    sees: Any, heights: Any, places: Any, steps: Any, farthest: float, found: Any,
+    sees: Any, drops: Any, heights: Any, places: Any, steps: Any, farthest: float, found: Any,
 ) -> None:  # fmt: skip
     """Enter hits into the maps of the rows in `mask` (N,), and find their nearest steps, `found` (N, S) [m].
 
     `poses` (N, 3: x, y [m], yaw [rad]) and `height` (N,) [m] are of the odometry, `mount` (2,) [m] is the
     LiDAR's, `bearings` (S,) [rad] are the middles of its segments, `ranges` (N, S) [m] its scan, and `moves`
     (N, S) tells where something moves. `points` (N, P, 3) [m] are the hits in level frames with the robots'
-    headings, over the robots' ground, `sees` (N, P) which rays have one. Maps are `heights` (N, C, C) [m],
+    headings, over the robots' ground, `sees` (N, P) which rays have one; `drops` (N, P) are where there is no
+    ground. Maps are `heights` (N, C, C) [m],
     `places` (N, C, C, 2), the numbers of cells that they are of, and `steps` (N, C, C).
     """
     hits = np.empty(points.shape[1], np.bool_)
@@ -124,6 +126,7 @@ def _update(
             poses[row], height[row], points[row], hits, heights[row], places[row], steps[row]
         )
         _enter(poses[row], height[row], points[row], hits, heights[row], places[row], steps[row])
+        _enter_drops(poses[row], height[row], points[row], drops[row], heights[row], places[row], steps[row])
         _look_around(poses[row], mount, bearings, places[row], steps[row], farthest, found[row])
 
 
@@ -199,6 +202,19 @@ def _enter(
                 elif -rise > least:
                     steps[other, beside] = True
         steps[row, column] = is_step
+
+
+@compile_function
+def _enter_drops(
+    pose: Any, height: float, points: Any, drops: Any, heights: Any, places: Any, steps: Any
+) -> None:  # fmt: skip
+    """Enter the `drops` (P,) among `points` (P, 3) into a map, as steps at the robot's own level."""
+    for number in range(len(points)):
+        if drops[number]:
+            x, y = _cell_of(pose, points[number])
+            row, column = y % _CELLS, x % _CELLS
+            places[row, column, 0], places[row, column, 1] = x, y
+            heights[row, column], steps[row, column] = height, True
 
 
 @compile_function
