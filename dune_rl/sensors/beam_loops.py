@@ -8,8 +8,12 @@ from dune_rl.geometry.compiled import compile_function
 
 # What two neighbouring rings meet is upright if it rises by so much per metre, and by at least this [m].
 _UPRIGHT, _LEAST_RISE_M = 0.8, 0.04
+# Both are of the same thing if it rises by so much per metre.
+_SHEER = 3.0
 # What is higher over the LiDAR is in nobody's way [m].
 _OVERHEAD_M = 1.2
+# Upright returns within this of the nearest one are of one thing [m].
+_ONE_THING_M = 0.3
 
 
 @compile_function
@@ -94,24 +98,32 @@ def nearest_upright(ranges: Any, rises: Any, nearest: float, farthest: float, fo
 
     `ranges` (N, R, B) [m] are those of R rings, the lowest first, `farthest` where nothing returns, and
     `rises` (N, R, B) the sines of their elevations over the level plane. Distances are between `nearest` and
-    `farthest`. As ground and obstacles are told apart by the angle between rings in Bogoslavskyi and
+    `farthest`. Of one thing it is that next to the height of the LiDAR, where people are about round. As
+    ground and obstacles are told apart by the angle between rings in Bogoslavskyi and
     Stachniss, "Fast range image-based segmentation of sparse 3D laser scans" (2016).
     """
     rows, rings, beams = ranges.shape
+    level, height, upright = np.empty(rings), np.empty(rings), np.empty(rings, np.bool_)
     for row in range(rows):
         for beam in range(beams):
             least = farthest
-            below_m, below_z_m = np.inf, 0.0
             for ring in range(rings):
                 along = ranges[row, ring, beam]
-                if along >= farthest:
-                    below_m = np.inf
+                height[ring] = along * rises[row, ring, beam]
+                level[ring] = np.sqrt(max(along * along - height[ring] ** 2, 0.0))
+                upright[ring] = False
+                if ring == 0 or along >= farthest or ranges[row, ring - 1, beam] >= farthest:
                     continue
-                z_m = along * rises[row, ring, beam]
-                level_m = np.sqrt(max(along * along - z_m * z_m, 0.0))
-                rise_m = z_m - below_z_m
-                is_upright = rise_m > _LEAST_RISE_M and rise_m > _UPRIGHT * abs(level_m - below_m)
-                if is_upright and below_z_m < _OVERHEAD_M:
-                    least = min(least, level_m)
-                below_m, below_z_m = level_m, z_m
-            found[row, beam] = max(least, nearest)
+                rise_m, apart_m = height[ring] - height[ring - 1], abs(level[ring] - level[ring - 1])
+                if rise_m < _LEAST_RISE_M or height[ring - 1] > _OVERHEAD_M:
+                    continue
+                # The lower of the two may be the ground before it.
+                upright[ring] = rise_m > _UPRIGHT * apart_m
+                upright[ring - 1] = upright[ring - 1] or rise_m > _SHEER * apart_m
+                if upright[ring]:
+                    least = min(least, level[ring])
+            chosen, off_m = least, np.inf
+            for ring in range(rings):
+                if upright[ring] and level[ring] < least + _ONE_THING_M and abs(height[ring]) < off_m:
+                    chosen, off_m = level[ring], abs(height[ring])
+            found[row, beam] = max(chosen, nearest)

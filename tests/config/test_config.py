@@ -294,9 +294,7 @@ PLAIN: dict[tuple[str, str], Settings | dict[str, AgentGroupConf]] = {
         }
     ),
     ("sensors", "perception"): perception_sensors(n_segments=64),
-    ("sensors", "perception_3d"): perception_sensors(
-        n_segments=64, rings_deg=[-14, -10, -6, -2, 2, 6, 10, 14]
-    ),
+    ("sensors", "perception_3d"): perception_sensors(n_segments=64, rings_deg=[-15, -10, -5, 0, 5, 10, 15]),
     ("sensors", "walker"): walker_sensors(),
     ("task", "point_goal"): TaskConf(),
     ("task", "dune_code"): with_terms(

@@ -289,7 +289,7 @@ def test_a_moving_actor_is_seen_where_it_is_at_that_instant():
     assert seen > 30
 
 
-RINGS_DEG = (-14.0, -10.0, -6.0, -2.0, 2.0, 6.0, 10.0, 14.0)
+RINGS_DEG = (-15.0, -10.0, -5.0, 0.0, 5.0, 10.0, 15.0)
 
 
 def test_a_lidar_of_rings_sees_what_stands_on_ground_and_not_the_ground() -> None:

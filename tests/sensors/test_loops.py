@@ -121,8 +121,8 @@ def test_ends_count_where_they_lie(full_circle):
 
 
 def rings_over_a_slope(slope: float, wall_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Ranges and sines of eight rings, 0.3 m over ground that rises by `slope`, with a wall of 1.6 m."""
-    elevation = np.deg2rad(np.arange(-14.0, 15.0, 4.0))
+    """Ranges and sines of seven rings, 0.3 m over ground that rises by `slope`, with a wall of 1.6 m."""
+    elevation = np.deg2rad(np.arange(-15.0, 16.0, 5.0))
     level, up = np.cos(elevation), np.sin(elevation)
     with np.errstate(divide="ignore"):
         ground = np.where(up < slope * level, 0.3 / (slope * level - up), np.inf)
