@@ -34,6 +34,7 @@ def upgrade_saved(saved: Mapping[str, Any]) -> dict[str, Any]:
     for place in (data, *_groups(data)):
         if isinstance(place.get("sensors"), dict) and "enabled" in place["sensors"]:
             place["sensors"] = _sensors_by_name(place["sensors"])
+        _without_gap_errors(place.get("sensors"))
     return write_agents(data)
 
 
@@ -59,6 +60,14 @@ def robot_names(config: Mapping[str, Any]) -> list[str]:
 def _groups(data: Mapping[str, Any]) -> list[dict[str, Any]]:
     sections = [data.get(name) for name in ("agents", "actors")]
     return [group for groups in sections if isinstance(groups, dict) for group in groups.values()]
+
+
+def _without_gap_errors(sensors: Any) -> None:
+    """Leave the gaps of a look ahead exact where its settings are from before they could be uncertain."""
+    for sensor in sensors.values() if isinstance(sensors, dict) else ():
+        if isinstance(sensor, dict) and sensor.get("sensor") == "command_costs":
+            sensor.setdefault("gap_error_m", 0.0)
+            sensor.setdefault("gap_error_growth_mps", 0.0)
 
 
 def _sensors_by_name(old: Mapping[str, Any]) -> dict[str, Any]:

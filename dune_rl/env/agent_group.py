@@ -181,7 +181,9 @@ class AgentGroup:
                 f"action has {self.action_size} components; choose another robot.action"
             )
         lidar = None if self.suite is None else self.suite.settings_of("lidar")
-        bind(DriverContext(self.name, self.body.vehicle(), lidar, self.observe, self.forecast_neighbours))
+        sensors = {} if self.suite is None else self.suite.settings
+        vehicle, forecast = self.body.vehicle(), self.forecast_neighbours
+        bind(DriverContext(self.name, vehicle, lidar, self.observe, forecast, sensors))
 
     @property
     def is_external(self) -> bool:

@@ -6,14 +6,13 @@ import numpy as np
 
 from dune_rl.geometry.compiled import compile_function
 
-# What two neighbouring rings meet is upright if it rises by so much per metre, and by at least this [m].
-_UPRIGHT, _LEAST_RISE_M = 0.8, 0.04
-# Both are of the same thing if it rises by so much per metre.
-_SHEER = 3.0
+# What two rings meet is upright if the upper return is farther by no more than this share of its rise, and
+# both are of the same thing if by no more than this.
+_UPRIGHT, _SHEER = 1.0 / 0.6, 1.0 / 3.0
 # What is higher over the LiDAR is in nobody's way [m].
 _OVERHEAD_M = 1.2
 # Upright returns within this of the nearest one are of one thing [m].
-_ONE_THING_M = 0.3
+_ONE_THING_M = 0.15
 
 
 @compile_function
@@ -98,30 +97,31 @@ def nearest_upright(ranges: Any, rises: Any, nearest: float, farthest: float, fo
 
     `ranges` (N, R, B) [m] are those of R rings, the lowest first, `farthest` where nothing returns, and
     `rises` (N, R, B) the sines of their elevations over the level plane. Distances are between `nearest` and
-    `farthest`. Of one thing it is that next to the height of the LiDAR, where people are about round. As
-    ground and obstacles are told apart by the angle between rings in Bogoslavskyi and
-    Stachniss, "Fast range image-based segmentation of sparse 3D laser scans" (2016).
+    `farthest`. A return is upright where it is steeply over that of the ring below it, or nearer than that.
+    Of those within 0.15 m of the nearest one, the return next to the height of the LiDAR counts: at one
+    height, people are about round. Ground and obstacles are told apart as in Bogoslavskyi and Stachniss,
+    "Fast range image-based segmentation of sparse 3D laser scans" (2016).
     """
     rows, rings, beams = ranges.shape
     level, height, upright = np.empty(rings), np.empty(rings), np.empty(rings, np.bool_)
     for row in range(rows):
         for beam in range(beams):
-            least = farthest
+            least, below = farthest, -1
             for ring in range(rings):
+                upright[ring] = False
                 along = ranges[row, ring, beam]
+                if along >= farthest:
+                    continue
                 height[ring] = along * rises[row, ring, beam]
                 level[ring] = np.sqrt(max(along * along - height[ring] ** 2, 0.0))
-                upright[ring] = False
-                if ring == 0 or along >= farthest or ranges[row, ring - 1, beam] >= farthest:
-                    continue
-                rise_m, apart_m = height[ring] - height[ring - 1], abs(level[ring] - level[ring - 1])
-                if rise_m < _LEAST_RISE_M or height[ring - 1] > _OVERHEAD_M:
-                    continue
-                # The lower of the two may be the ground before it.
-                upright[ring] = rise_m > _UPRIGHT * apart_m
-                upright[ring - 1] = upright[ring - 1] or rise_m > _SHEER * apart_m
-                if upright[ring]:
-                    least = min(least, level[ring])
+                if below >= 0 and height[ring] < _OVERHEAD_M:
+                    rise_m, farther_m = height[ring] - height[below], level[ring] - level[below]
+                    upright[ring] = farther_m < _UPRIGHT * rise_m
+                    # The lower of the two may be the ground before it.
+                    upright[below] = upright[below] or abs(farther_m) < _SHEER * rise_m
+                    if upright[ring]:
+                        least = min(least, level[ring])
+                below = ring
             chosen, off_m = least, np.inf
             for ring in range(rings):
                 if upright[ring] and level[ring] < least + _ONE_THING_M and abs(height[ring]) < off_m:

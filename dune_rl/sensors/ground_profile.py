@@ -14,8 +14,9 @@ from dune_rl.sensors.sensor import MOUNT, Mount, VectorSensor, mount_position
 from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.state import GroupState, State
 
-# A ray whose sine points down by this, 18.5 degrees, and that meets nothing so far away [m], is over a drop.
-_STEEP, _DEEP_M = 0.317, 12.0
+# A ray that points down by more than any slope to drive on, 27 degrees (its sine), and meets nothing so far
+# away [m], is over a drop.
+_STEEP, _DEEP_M = 0.454, 12.0
 
 
 class GroundProfileConf(SensorSettings):
@@ -69,7 +70,7 @@ class GroundProfile(VectorSensor):
         elevation = np.linspace(lowest, highest_up, conf.rows)
         self._mount_b = mount_position(conf.mount_b)
         self.points = np.zeros((context.num_rows, conf.rows * conf.columns, 3))
-        self.sees = self.drops = np.zeros(self.points.shape[:2], bool)
+        self.sees, self.drops = np.zeros((2, *self.points.shape[:2]), bool)
         self.pitch_sine = np.zeros(context.num_rows)
         self._beams = Beams(
             fan(bearing, elevation).reshape(-1, 3),

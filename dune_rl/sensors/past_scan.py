@@ -7,6 +7,7 @@ from pydantic import Field
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.geometry.arrays import Array, Flags, Floats
+from dune_rl.geometry.frames import rotation_from_yaw
 from dune_rl.sensors.beam_loops import nearest_seen_from
 from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.lidar import LidarConf, LidarSensor
@@ -98,12 +99,15 @@ class LidarPast(VectorSensor):
 
     def _take(self, now: GroupState, begun: Flags | None) -> None:
         motion = now.motion if self._navigation is None else self._navigation
-        ranges = self._sensor.ranges
-        origin = self._lidar.origin(motion.position_w, motion.rotation)
+        ranges, rotation = self._sensor.ranges, motion.rotation
+        origin = self._lidar.origin(motion.position_w, rotation)
+        if self._lidar.conf.rings_deg:
+            # Their ranges are in the level plane.
+            rotation = rotation_from_yaw(np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0]))
         if begun is None:
-            self._lidar.store_ends(origin, motion.rotation, ranges, self._past.advance())
+            self._lidar.store_ends(origin, rotation, ranges, self._past.advance())
         else:
             ends_w = np.empty((*ranges.shape, 3), np.float32)
-            self._lidar.store_ends(origin, motion.rotation, ranges, ends_w)
+            self._lidar.store_ends(origin, rotation, ranges, ends_w)
             self._past.restart(begun, ends_w)
-        self._reading = self._past.seen_from(origin, motion.rotation)
+        self._reading = self._past.seen_from(origin, rotation)

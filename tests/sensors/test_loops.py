@@ -140,13 +140,23 @@ def test_rings_see_no_slopes(slope: float) -> None:
 
 
 @pytest.mark.parametrize("slope", [-0.25, 0.0, 0.25])
-def test_rings_see_walls_on_slopes(slope: float) -> None:
+@pytest.mark.parametrize("wall_m", [0.15, 0.3, 0.43, 1.0, 3.0])
+def test_rings_see_walls_on_slopes(slope: float, wall_m: float) -> None:
     found = np.zeros((1, 1), np.float32)
-    nearest_upright(*rings_over_a_slope(slope, 3.0), 0.1, 12.0, found)
-    assert found[0, 0] == pytest.approx(3.0, abs=1e-4)
+    nearest_upright(*rings_over_a_slope(slope, wall_m), 0.1, 12.0, found)
+    assert found[0, 0] == pytest.approx(wall_m, abs=1e-4)
 
 
-@pytest.mark.parametrize(("lowest_m", "seen_m"), [(0.8, 4.0), (1.3, 12.0)])
+def test_rings_see_a_bar_before_the_ground() -> None:
+    """Of a bar at the LiDAR's height, the ring below passes under it."""
+    ranges, rises = rings_over_a_slope(0.0, 50.0)
+    ranges[0, 3] = 1.5
+    found = np.zeros((1, 1), np.float32)
+    nearest_upright(ranges, rises, 0.1, 12.0, found)
+    assert found[0, 0] == pytest.approx(1.5)
+
+
+@pytest.mark.parametrize(("lowest_m", "seen_m"), [(0.7, 4.0), (1.3, 12.0)])
 def test_rings_see_nothing_overhead(lowest_m: float, seen_m: float) -> None:
     over_m = np.array([lowest_m, lowest_m + 0.4])
     along_m = np.hypot(4.0, over_m)

@@ -131,12 +131,12 @@ def test_a_brick_below_the_scan_is_a_step_that_is_remembered() -> None:
 
 def test_where_the_ground_ends_is_a_step() -> None:
     """The ground ends at x = 10, the LiDAR's mount is 0.17 m before the rover's origin."""
-    for x, yaw, is_near in ((9.0, 0.0, True), (9.0, np.pi, False), (6.0, 0.0, False)):
+    for x, yaw, is_near in ((9.35, 0.0, True), (9.35, np.pi, False), (6.0, 0.0, False)):
         simulation = simulation_on(plain(), sensors=GROUND, task={"terminations": {}})
         simulation.reset(requests={0: {"rover_0": AgentRequest((x, 0.0, yaw), (0.0, 0.0))}})
         act(simulation, [0.0, 0.0])
         ahead = readings(simulation)["low_obstacles"][28:36].min()
-        assert ahead == pytest.approx(1.0 if is_near else 3.0, abs=0.2)
+        assert ahead == pytest.approx(0.6 if is_near else 3.0, abs=0.2)
         simulation.close()
 
 

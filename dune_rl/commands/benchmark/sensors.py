@@ -72,7 +72,8 @@ def _compare_lidar(
     suite = simulation.group().suite
     if suite is None:
         raise ConfigError("parts=[sensors] needs a group with sensors")
-    settings = suite.settings_of("lidar")
+    # Of one ring, as the reference.
+    settings = suite.settings_of("lidar").model_copy(update={"rings_deg": ()})
     solid = world.solid_mesh()
     lidar = Lidar(settings, RayScene(solid.vertices, solid.faces), [])
     no_neighbours = np.zeros((conf.scenes, 0, POSE_COLUMNS))

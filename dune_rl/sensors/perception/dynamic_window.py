@@ -190,7 +190,7 @@ def _command_cost(
         static, moving = _gaps(x, y, yaw, grid, clearance, places[step], actors, vehicle)
         if moving <= 0.0:
             if moving <= moving_limit:
-                near += _HIT_COST * np.exp(-time / _HIT_DECAY_S)
+                risk = max(risk, _HIT_COST * np.exp(-time / _HIT_DECAY_S))
                 break
             near += _TOUCHING_COST_PER_S * STEP_S * (1.0 - moving / _MARGIN_M)
         if static <= 0.0:
@@ -212,11 +212,12 @@ def _command_cost(
         near += _NEAR_COST_PER_S * pace * STEP_S * max(0.0, 1.0 - max(static, 0.0) / _NEAR_STATIC_M) ** 2
         near += _MARGIN_COST_PER_S * STEP_S * max(0.0, 1.0 - max(static, 0.0) / vehicle[7])
         near += _NEAR_COST_PER_S * STEP_S * max(0.0, 1.0 - max(moving, 0.0) / _NEAR_ACTOR_M) ** 2
-        if near > best and not recovers:
+        if near + risk > best and not recovers:
             return np.inf
         if not recovers and length(goal[0] - x, goal[1] - y) < _ARRIVED_M:
             return near + risk + 0.1 * time
-    near += risk + _TURN_COST * abs(command[1])
+    near += risk
+    near += _TURN_COST * abs(command[1])
     if recovers:
         return near - length(x - pose[0], y - pose[1])
     near += interpolate_grid(grid, field, x, y) + _FACING_M * _misalignment(grid, waypoints, x, y, yaw)
