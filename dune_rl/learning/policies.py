@@ -44,7 +44,7 @@ def _goal_key(spec: PolicySpec) -> str | None:
 def built_in_policy(name: str, env: EnvBase, seed: int = 0) -> Policy:
     """A reference policy for every group of `env`; raises ConfigError where it cannot act.
 
-    `name` is go_to_goal, random, or a driver that reads the simulation: planner, mppi.
+    `name` is go_to_goal, random, or one of the drivers that read the simulation, `DRIVERS`.
     """
     if name in DRIVERS:
         return act_in_turn(driver_policies(name, env, seed))

@@ -15,7 +15,8 @@ from simulations import rest, started_simulation
 from states import group_state, measure, standing_at
 
 from dune_rl.bodies.person import PersonConf
-from dune_rl.config.build import build_world
+from dune_rl.config.build import build_world, make_simulation
+from dune_rl.config.compose import compose_environment
 from dune_rl.geometry.frames import rotation_matrices
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.sensors.lidar import LidarSensor, beam_angles
@@ -311,3 +312,19 @@ def test_a_lidar_of_rings_sees_what_stands_on_ground_and_not_the_ground() -> Non
 def test_the_elevations_of_rings_rise(rings_deg: list[float]) -> None:
     with pytest.raises(ValidationError, match="rings_deg must be at least two rising elevations, or none"):
         lidar_conf(rings_deg=rings_deg)
+
+
+def test_rings_with_faults_and_in_haze_stay_within_bounds() -> None:
+    words = ["sensors=perception_3d", "sensors.lidar.realism=rplidar_a2m8", "weather=fog", "actors=walkers"]
+    conf = compose_environment("inspection", [*words, "+sensors.command_costs={}"])
+    simulation = make_simulation(conf, 2, 0)
+    simulation.reset()
+    for _ in range(8):
+        simulation.step({"rover": np.zeros((2, 1, 2))})
+    bounds = simulation.group("rover").observation_bounds
+    found = simulation.observe("rover")
+    for name, reading in found.items():
+        low, high = bounds[name]
+        assert ((reading >= low - 1e-5) & (reading <= high + 1e-5)).all(), name
+    assert found["lidar"].min() < 12.0
+    simulation.close()

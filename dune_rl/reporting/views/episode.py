@@ -124,7 +124,7 @@ class EpisodeView:
         self._env.close()
 
 
-# What built-in policies read, where it is not `goal` alone; None: what the sensors make of others.
+# Sensors that built-in policies read, where these are not `goal` alone; None: keep all that are configured.
 SENSORS_OF_POLICIES: dict[str, tuple[str, ...] | None] = {
     "dwa": None,
     "mppi": ("lidar", "goal", "velocity"),

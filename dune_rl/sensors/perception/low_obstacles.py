@@ -113,9 +113,9 @@ def _update(
     `poses` (N, 3: x, y [m], yaw [rad]) and `height` (N,) [m] are of the odometry, `mount` (2,) [m] is the
     LiDAR's, `bearings` (S,) [rad] are the middles of its segments, `ranges` (N, S) [m] its scan, and `moves`
     (N, S) tells where something moves. `points` (N, P, 3) [m] are the hits in level frames with the robots'
-    headings, over the robots' ground, `sees` (N, P) which rays have one; `drops` (N, P) are where there is no
-    ground. Maps are `heights` (N, C, C) [m],
-    `places` (N, C, C, 2), the numbers of cells that they are of, and `steps` (N, C, C).
+    headings, over the robots' ground, `sees` (N, P) which rays have one, and `drops` (N, P) those over the
+    end of the ground. Maps are `heights` (N, C, C) [m], `places` (N, C, C, 2), the numbers of cells that they
+    are of, and `steps` (N, C, C).
     """
     hits = np.empty(points.shape[1], np.bool_)
     for row in range(len(poses)):
@@ -254,6 +254,7 @@ def _stands_out(z: float, x: Any, y: Any, heights: Any, places: Any, steps: Any)
 def _look_around(
     pose: Any, mount: Any, bearings: Any, places: Any, steps: Any, farthest: float, found: Any
 ) -> None:
+    """Distance from the LiDAR's mount of the nearest step in each segment of a row, `found` (S,) [m]."""
     cos, sin = np.cos(pose[2]), np.sin(pose[2])
     origin_x = pose[0] + cos * mount[0] - sin * mount[1]
     origin_y = pose[1] + sin * mount[0] + cos * mount[1]
