@@ -140,6 +140,13 @@ def test_equal_settings_give_equal_bytes_and_a_seed_others(call: Call, folder: P
     assert made[0] == made[1] != made[2]
 
 
+def test_a_map_of_dwa_keeps_the_sensors_that_it_needs(call: Call, folder: Path) -> None:
+    words = ["+world=flat", "view=map", COARSE, "policy=dwa", "episodes=1", "sensors=perception"]
+    words += ["+sensors.command_costs={}", "task.terminations.time_limit.max_steps=20", "out=a"]
+    assert call(*words) == 0
+    assert (folder / "a" / "flat_map.png").stat().st_size > 10_000
+
+
 @pytest.mark.slow(all_but=["words0*"])
 @pytest.mark.parametrize(
     ("words", "message"),
