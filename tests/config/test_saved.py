@@ -117,3 +117,16 @@ def test_grids_of_commands_keep_their_headings() -> None:
     saved = compose(Conf, ["+world=flat", "sensors=perception", "+sensors.command_costs={}"])
     plain = saved.model_dump(mode="json")
     assert compose(Conf, ["+world=flat"], (), plain).sensors == saved.sensors
+
+
+def test_saved_look_aheads_without_gap_errors_keep_exact_gaps() -> None:
+    before = {"sensor": "command_costs", "max_cost": 5.0}
+    rover = {"body": "rover_zero", "sensors": {"costs": before}}
+    upgraded = upgrade_saved({"sensors": {"costs": before}, "agents": {"rover": rover}})
+    for sensors in (upgraded["sensors"], upgraded["agents"]["rover"]["sensors"]):
+        own = sensors["costs"]
+        assert (own["max_cost"], own["gap_error_m"], own["gap_error_growth_mps"]) == (5.0, 0.0, 0.0)
+    own = {**before, "gap_error_m": 0.1, "gap_error_growth_mps": 0.2}
+    kept = upgrade_saved({"sensors": {"costs": own}})["sensors"]["costs"]
+    assert (kept["gap_error_m"], kept["gap_error_growth_mps"]) == (0.1, 0.2)
+    assert before == {"sensor": "command_costs", "max_cost": 5.0}
