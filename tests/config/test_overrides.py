@@ -210,7 +210,7 @@ def test_saved_settings_share_the_messages() -> None:
 
 
 def test_an_evaluation_has_one_policy_or_several() -> None:
-    with pytest.raises(ConfigError, match="choose a policy: checkpoint=PATH, or policy=NAME with go_to_goal"):
+    with pytest.raises(ConfigError, match="choose a policy: checkpoint=PATH, or policy=NAME with dwa"):
         compose(EvaluateConf, ["+world=flat"])
     conf = compose(EvaluateConf, ["+world=flat", "policy=[random,a:b]", "checkpoint=x", "against=go_to_goal"])
     assert (conf.checkpoint, conf.policy, conf.against) == (("x",), ("random", "a:b"), ("go_to_goal",))

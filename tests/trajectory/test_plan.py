@@ -98,8 +98,8 @@ def test_speed_and_spacing_hold_for_any_way(world, points, velocity, spacing, mo
     actor = plan_on_ground(world, corners, velocity=velocity, spacing_m=spacing, mode=mode, pauses_s=pauses)
     assert actor.times[0] == 0.0 and (np.diff(actor.times) > 0.0).all()
     moving = steps(actor) > 0.0
-    # No chord is longer than its arc, which takes as long as the speed says.
-    assert (steps(actor)[moving] <= velocity * np.diff(actor.times)[moving] * 1.01 + 1e-6).all()
+    # No chord is longer than its arc, which takes as long as the speed says, and is measured to 0.02 mm.
+    assert (steps(actor)[moving] <= velocity * np.diff(actor.times)[moving] * 1.01 + 2e-5).all()
     # A point that is nearer to a stop than a thousandth of the spacing gives way to it.
     assert (velocity * np.diff(actor.times)[moving] <= spacing * (1 + 1.001e-3)).all()
     assert np.abs(np.diff(actor.poses[:, 3])).max() <= np.pi + 1e-3
