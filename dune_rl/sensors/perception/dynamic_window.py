@@ -43,6 +43,8 @@ _MARGIN_M = 0.05
 _DEEPER_M = 0.03
 _NEAR_STATIC_M = 0.45
 _NEAR_ACTOR_M = 0.9
+# Bounds of costs are lower by this, for rounding.
+_ROUNDING_M = 1e-3
 _REVERSE_COST_PER_M = 1.0
 _TURN_COST = 0.05
 # Facing away from the route is worth twice this.
@@ -159,11 +161,55 @@ def _wait_cost(
 
 
 @compile_function
+def _reach(twist: Any, vehicle: Any) -> float:
+    """The farthest [m] that a vehicle comes within the look ahead."""
+    result: float = STEPS * STEP_S * max(-vehicle[0], vehicle[1], abs(twist[0]))
+    return result
+
+
+@compile_function
+def _least_left(pose: Any, goal: Any, grid: Any, field: Any, reach: float) -> float:
+    """The least that can be left at the end of a look ahead that comes `reach` [m] far; 0 near the goal."""
+    if length(goal[0] - pose[0], goal[1] - pose[1]) < reach + _ARRIVED_M:
+        return 0.0
+    rows, columns = np.int64(grid[3]), np.int64(grid[4])
+    column, row = (pose[0] - grid[0]) * grid[2], (pose[1] - grid[1]) * grid[2]
+    cells = reach * grid[2] + 1.0
+    left = np.int64(min(max(column - cells, 0.0), columns - 1.0))
+    right = np.int64(min(max(column + cells, 0.0), columns - 1.0))
+    bottom = np.int64(min(max(row - cells, 0.0), rows - 1.0))
+    top = np.int64(min(max(row + cells, 0.0), rows - 1.0))
+    least = np.inf
+    for line in range(bottom, top + 1):
+        for cell in range(line * columns + left, line * columns + right + 1):
+            least = min(least, field[cell])
+    return least - _ROUNDING_M
+
+
+@compile_function
+def _in_reach(pose: Any, actors: Any, places: Any, vehicle: Any, reach: float) -> Any:
+    """The `actors` (K, 6) and their `places` (T, K, 2) that a look ahead `reach` [m] far could come near to."""
+    around = max(vehicle[6], vehicle[4] + vehicle[5])
+    near = max(_NEAR_ACTOR_M, _LIKELY * (vehicle[8] + vehicle[9] * STEPS * STEP_S))
+    numbers, count = np.empty(len(actors), np.int64), 0
+    for number in range(len(actors)):
+        limit = reach + around + near + actors[number, 5]
+        for step in range(STEPS):
+            if length(places[step, number, 0] - pose[0], places[step, number, 1] - pose[1]) < limit:
+                numbers[count] = number
+                count += 1
+                break
+    return actors[numbers[:count]], places[:, numbers[:count]]
+
+
+@compile_function
 def _command_cost(
     pose: Any, twist: Any, command: Any, maps: Any, places: Any, actors: Any, goal: Any, vehicle: Any,
-    response: Any, recovers: bool, best: float,
+    response: Any, recovers: bool, least_left: float, best: float,
 ) -> float:  # fmt: skip
     """Cost of a command (speed, yaw rate, yaw rate after 0.7 s) for 2.5 s; inf where it exceeds `best`.
+
+    At least `least_left` is left at the end, unless it `recovers`.
 
     Where gaps to what moves are not exact, the largest expected cost of a contact is added.
     """
@@ -212,7 +258,7 @@ def _command_cost(
         near += _NEAR_COST_PER_S * pace * STEP_S * max(0.0, 1.0 - max(static, 0.0) / _NEAR_STATIC_M) ** 2
         near += _MARGIN_COST_PER_S * STEP_S * max(0.0, 1.0 - max(static, 0.0) / vehicle[7])
         near += _NEAR_COST_PER_S * STEP_S * max(0.0, 1.0 - max(moving, 0.0) / _NEAR_ACTOR_M) ** 2
-        if near + risk > best and not recovers:
+        if near + risk + least_left > best and not recovers:
             return np.inf
         if not recovers and length(goal[0] - x, goal[1] - y) < _ARRIVED_M:
             return near + risk + 0.1 * time
@@ -240,6 +286,9 @@ def choose_commands(
     for row in range(len(poses)):
         best = np.inf
         maps = grids[row], fields[row], waypoints[row], clearances[row]
+        reach = _reach(twists[row], vehicle)
+        least_left = _least_left(poses[row], goals[row], grids[row], fields[row], reach)
+        near_actors, near_places = _in_reach(poses[row], actors[row], places[row], vehicle, reach)
         for speed_number in range(-_REVERSE_SPEEDS, _SPEEDS):
             if speed_number < 0:
                 speed = vehicle[0] * -speed_number / _REVERSE_SPEEDS
@@ -260,8 +309,8 @@ def choose_commands(
                     command[0], command[1] = speed, turn
                     command[2] = 0.0 if then == 0 else turn
                     cost = _command_cost(
-                        poses[row], twists[row], command, maps, places[row], actors[row], goals[row], vehicle,
-                        response, recovering[row], best,
+                        poses[row], twists[row], command, maps, near_places, near_actors, goals[row], vehicle,
+                        response, recovering[row], least_left, best,
                     )  # fmt: skip
                     if cost < best:
                         best = cost
@@ -282,6 +331,9 @@ def score_commands(
     for row in range(len(poses)):
         best = np.inf
         maps = grids[row], fields[row], waypoints[row], clearances[row]
+        reach = _reach(twists[row], vehicle)
+        least_left = _least_left(poses[row], goals[row], grids[row], fields[row], reach)
+        near_actors, near_places = _in_reach(poses[row], actors[row], places[row], vehicle, reach)
         for order in range(-1, len(commands)):
             number = likely[row] % len(commands) if order < 0 else order
             if order == likely[row]:
@@ -296,8 +348,8 @@ def score_commands(
                     continue
                 command[2] = 0.0 if then == 0 else command[1]
                 cost = _command_cost(
-                    poses[row], twists[row], command, maps, places[row], actors[row], goals[row], vehicle,
-                    response, recovering[row], min(best + cap, low),
+                    poses[row], twists[row], command, maps, near_places, near_actors, goals[row], vehicle,
+                    response, recovering[row], least_left, min(best + cap, low),
                 )  # fmt: skip
                 low = min(low, cost)
             costs[row, number] = low
