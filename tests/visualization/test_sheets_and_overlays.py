@@ -71,6 +71,40 @@ def test_any_reading_alone_makes_a_sheet(name: str, everything) -> None:
     assert found[1].startswith(TITLES.get(name, "numbers" if name == "imu" else "LiDAR"))
 
 
+def test_what_a_robot_makes_of_its_readings_is_drawn() -> None:
+    """Nothing of several values is among the numbers; pasts, tracks and low obstacles are over the scan."""
+    perception = {"preset": "perception", "command_costs": {}}
+    made = {name: {} for name in ("lidar", "agent_tracks", "ground_profile", "command_costs", "goal_direction")}
+    of_others = {
+        "past": {"sensor": "lidar_past"},
+        "way_left": {"low_obstacles": "low_obstacles"},
+        "low_obstacles": {},
+        "imu_6axis": {},
+    }
+    simulation = started_simulation("inspection", sensors=made | of_others)
+    act(simulation, [0.0, 0.0])
+    suite = simulation.group().suite
+    assert suite is not None
+    readings = {name: value[0] for name, value in observation(simulation).items()}
+    conf = suite.settings
+    simulation.close()
+    found = panels(readings, conf)
+    assert [title.partition(",")[0] for title in found] == [
+        *("scene", "ground_profile", "command_costs", "way_left", "LiDAR"),
+        *("agent_tracks_radial", "agent_tracks_tangential", "numbers"),
+    ]
+    figure = contact_sheet(readings, conf, PICTURE, "")
+    figure.canvas.draw()
+    frame = figure.axes[0].figure.bbox
+    for axes in figure.axes:
+        box = axes.get_window_extent()
+        assert frame.x0 <= box.x0 < box.x1 <= frame.x1
+        assert frame.y0 <= box.y0 < box.y1 <= frame.y1
+    legend = next(axes for axes in figure.axes if axes.get_title(loc="left").startswith("LiDAR")).get_legend()
+    assert legend is not None
+    assert {"now", "past"} <= {text.get_text() for text in legend.get_texts()}
+
+
 def test_what_meets_nothing_makes_a_sheet_too() -> None:
     conf = parse_sensors(["lidar", "lidar_3d", "depth_strip", "camera"])
     nothing = {
