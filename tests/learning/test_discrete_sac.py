@@ -180,12 +180,16 @@ def test_it_begins_with_the_command_and_the_values_that_a_prior_guesses(
     torch.testing.assert_close(Deterministic(copy)(parts.clone())["logits"], acted["logits"])
 
 
-def test_a_policy_with_a_prior_learns_and_keeps_to_where_it_began(tmp_path: Path) -> None:
+@pytest.mark.parametrize("start_from", [None, "imitated"])
+def test_a_policy_with_a_prior_learns_and_keeps_to_where_it_began(
+    tmp_path: Path, start_from: str | None
+) -> None:
     torch.manual_seed(0)
-    settings = {"target_divergence": 0.1, "start_from": "imitated", "prior_weight": 1.0}
+    settings = {"target_divergence": 0.1, "start_from": start_from, "prior_weight": 1.0}
     found = learner_with_prior(tmp_path, **settings)
     taught = make_command_network(found.context.spec, found.network_settings())
-    found.start_from({"policy": taught.state_dict(), "algorithm": "imitation"})
+    if start_from is not None:
+        found.start_from({"policy": taught.state_dict(), "algorithm": "imitation"})
     steps = _one_step_episodes(found.context.spec, terminated=True)
     rows = found._codec.encode(steps)
     first = found._learn([rows])
@@ -263,7 +267,7 @@ def test_what_a_coefficient_adapts_to_follows_from_the_settings_of_the_run(tmp_p
 def test_a_divergence_is_from_a_policy_that_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="two targets of one coefficient"):
         learner(tmp_path, target_divergence=0.5, target_entropy=0.3, start_from="run")
-    with pytest.raises(ConfigError, match=r"learning\.start_from"):
+    with pytest.raises(ConfigError, match=r"learning\.start_from, or from learning\.prior"):
         learner(tmp_path, target_divergence=0.5)
 
 

@@ -45,7 +45,7 @@ class DiscreteSacStep(GradientStep):
     ) -> DiscreteSACLoss:
         conf, head = self._conf, actor.module
         assert isinstance(head, CommandHead)
-        self._commands = head.commands
+        self._commands, self._head = head.commands, head
         self._taken = 0
         self._reference: TensorDictSequential | None = None
         self._set_temperature(head)
@@ -79,7 +79,7 @@ class DiscreteSacStep(GradientStep):
         """Also the number of the command that is nearest to each action."""
         apart = (batch.get("action")[:, None] - self._commands).square().sum(-1)
         batch.set("action", apart.argmin(-1))
-        if self._reference is not None:
+        if self._conf.target_divergence is not None:
             for part in (batch, batch.get("next")):
                 features = part.get(FEATURES)
                 split = features.shape[-1] - len(self._commands)
@@ -89,16 +89,19 @@ class DiscreteSacStep(GradientStep):
     def _encode(self, packed: PackedObservation) -> Tensor:
         """What actor and critics read, and behind it the log probabilities of the reference."""
         own = super()._encode(packed)
-        if self._reference is None:
+        if self._conf.target_divergence is None:
             return own
         with torch.no_grad():
-            features, head = (module.module for module in self._reference)
-            public = self._critic_features.select_public(packed)
-            logits: Tensor = _Logits(head)(features.encode(public))
+            if self._reference is None:
+                logits = self._head.prior_logits(own)
+            else:
+                features, head = (module.module for module in self._reference)
+                public = self._critic_features.select_public(packed)
+                logits = head.predict(features.encode(public))[0]
         return torch.cat([own, logits.log_softmax(-1)], -1)
 
     def measure_divergence_from(self, network: TensorDictSequential) -> None:
-        """Take a copy of `network` for the policy from which the divergence is measured."""
+        """Take a copy of `network` for the policy from which the divergence is measured, not the prior's."""
         self._reference = copy.deepcopy(network).requires_grad_(requires_grad=False)
 
     def __call__(self, make_batch: MakeBatch) -> dict[str, Tensor]:
@@ -112,6 +115,11 @@ class DiscreteSacStep(GradientStep):
     @property
     def _trains_actor(self) -> bool:
         return self._taken > self._conf.critic_updates
+
+    @property
+    def _trains_encoder(self) -> bool:
+        """Also while a new policy is its prior, which reads nothing of what the encoder makes."""
+        return self._trains_actor or self._conf.start_from is None
 
     def _set_temperature(self, head: CommandHead) -> None:
         """Let the logits of a prior be those of the best policy by its costs, at the initial coefficient."""
@@ -203,22 +211,24 @@ class _DivergenceLoss(DiscreteSACLoss):
 class _CommandValues(nn.Module):
     """Values (..., C) of all commands, in float32 also under autocast.
 
-    To those of the network the negative costs of the policy's prior are added, if it has one.
+    To those of the network the negative costs of the policy's prior are added, if it has one from which no
+    divergence is measured: costs of a look ahead differ by more than values, whose next commands are free.
     """
 
     def __init__(self, features: int, conf: DiscreteSacConf, head: CommandHead) -> None:
         super().__init__()
         self.body = perceptron(features, conf.hidden, len(head.commands))
-        self._scale = conf.reward_scale * (1.0 + head.prior_weight)
+        is_guess = conf.target_divergence is None or conf.start_from is not None
+        self._scale = conf.reward_scale * (1.0 + head.prior_weight) if is_guess else 0.0
         # The policy's own, whose weights are no part of the critics.
         self._of_policy = (head,)
-        if conf.prior is not None and conf.start_from is None:
+        if conf.prior is not None and conf.start_from is None and is_guess:
             _shrink(self.body[-1])
 
     def forward(self, features: Tensor) -> Tensor:
         (head,) = self._of_policy
         values: Tensor = self.body(features).float()
-        return values - self._scale * head.guess(features)
+        return values - self._scale * head.guess(features) if self._scale else values
 
 
 class _Logits(nn.Module):
@@ -270,15 +280,16 @@ class DiscreteSac(MaximumEntropyLearner):
                     "learning.target_entropy and learning.target_divergence are two targets of one "
                     "coefficient: leave one of them null"
                 )
-            if conf.start_from is None:
+            if conf.start_from is None and conf.prior is None:
                 raise ConfigError(
-                    "learning.target_divergence is measured from the policy of learning.start_from: name a "
-                    "run's folder or a policy's file there, or leave target_divergence null"
+                    "learning.target_divergence is measured from the policy of learning.start_from, or from "
+                    "learning.prior: name a run's folder or a policy's file, or a prior, or leave "
+                    "target_divergence null"
                 )
             self._measure_divergence()
 
     def _measure_divergence(self) -> None:
-        if self._conf.target_divergence is not None:
+        if self._conf.target_divergence is not None and self._conf.start_from is not None:
             assert isinstance(self._step, DiscreteSacStep)
             self._step.measure_divergence_from(self.policy.network)
 

@@ -18,11 +18,12 @@ class DiscreteSacConf(CommandsConf, MaximumEntropyConf):
         None, description="nats; null: a quarter of what equally likely commands have"
     )
     critic_updates: int = Field(
-        0, ge=0, description="first updates, in which the policy's weights stay as they are: with start_from"
+        0, ge=0, description="first updates, in which the policy's weights stay as they are"
     )
     target_divergence: float | None = Field(
         None,
         gt=0,
-        description="nats from the policy of start_from, whose price then replaces the bonus for entropy",
+        description="nats from the policy of start_from, or else from the prior, whose price then replaces "
+        "the bonus for entropy",
     )
     tau: float = Field(0.005, gt=0, le=0.5, description="share of the new weights in each target update")

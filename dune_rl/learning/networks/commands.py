@@ -101,9 +101,12 @@ class CommandHead(nn.Module):
         """Logits and costs (..., C)."""
         logits, costs = self.body(features).float().chunk(2, -1)
         if self._has_prior:
-            guess = self.guess(features)
-            logits, costs = logits - (1.0 + self.prior_weight) * guess / self.temperature, costs + guess
+            logits, costs = logits + self.prior_logits(features), costs + self.guess(features)
         return logits, costs
+
+    def prior_logits(self, features: Tensor) -> Tensor:
+        """Logits (..., C) of the prior alone."""
+        return -(1.0 + self.prior_weight) * self.guess(features) / self.temperature
 
     def choose(self, costs: Tensor, features: Tensor) -> Tensor:
         """The number (...) of the command of the least cost, to which the guess is added by its weight."""

@@ -107,9 +107,9 @@ class GradientStep:
             cut = features.detach().requires_grad_()
             losses = self.loss(self._separate(batch.set(FEATURES, cut)))
         losses["loss_qvalue"].backward()
+        if features.requires_grad and self._trains_encoder:
+            features.backward(cut.grad)
         if self._trains_actor:
-            if features.requires_grad:
-                features.backward(cut.grad)
             (losses["loss_actor"] + losses["loss_alpha"]).backward()
         self.optimiser.step()
         self.optimiser.zero_grad()
@@ -124,8 +124,12 @@ class GradientStep:
 
     @property
     def _trains_actor(self) -> bool:
-        """Whether the policy learns, and the encoder with it, or the critics alone."""
+        """Whether the policy learns, or the critics alone."""
         return True
+
+    @property
+    def _trains_encoder(self) -> bool:
+        return self._trains_actor
 
     def _encode(self, packed: PackedObservation) -> Tensor:
         """Features (k, n) of observations, for all networks."""
