@@ -73,8 +73,8 @@ def test_any_reading_alone_makes_a_sheet(name: str, everything) -> None:
 
 def test_what_a_robot_makes_of_its_readings_is_drawn() -> None:
     """Nothing of several values is among the numbers; pasts, tracks and low obstacles are over the scan."""
-    perception = {"preset": "perception", "command_costs": {}}
-    made = {name: {} for name in ("lidar", "agent_tracks", "ground_profile", "command_costs", "goal_direction")}
+    names = ("lidar", "agent_tracks", "ground_profile", "command_costs", "goal_direction")
+    made = {name: {} for name in names}
     of_others = {
         "past": {"sensor": "lidar_past"},
         "way_left": {"low_obstacles": "low_obstacles"},

@@ -188,7 +188,7 @@ def _least_left(pose: Any, goal: Any, grid: Any, field: Any, reach: float) -> fl
 
 @compile_function
 def _in_reach(pose: Any, actors: Any, places: Any, vehicle: Any, reach: float) -> Any:
-    """The `actors` (K, 6) and `places` (T, K, 2) of those that a look ahead `reach` [m] far may come near to."""
+    """The `actors` (K, 6) and `places` (T, K, 2) that a look ahead `reach` [m] far may come near to."""
     around = max(vehicle[6], vehicle[4] + vehicle[5])
     near = max(_NEAR_ACTOR_M, _LIKELY * (vehicle[8] + vehicle[9] * STEPS * STEP_S))
     numbers, count = np.empty(len(actors), np.int64), 0
