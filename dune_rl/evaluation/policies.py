@@ -18,7 +18,7 @@ from dune_rl.config.commands import EvaluateConf
 from dune_rl.core.errors import ConfigError, DuneError
 from dune_rl.core.files import sha256_of
 from dune_rl.core.suggestions import closest
-from dune_rl.env.simulation import VectorSimulation
+from dune_rl.env.torchrl.episode_metrics import simulation_in
 from dune_rl.learning.checkpoint import POLICY_SOURCES, find_checkpoint_file, read_policy_file
 from dune_rl.learning.group_policy import Policy
 from dune_rl.learning.policies import built_in_policy
@@ -105,7 +105,7 @@ class RandomByEpisode:
     """Uniformly random actions that depend on (seed, episode, step) alone, not on scenes side by side."""
 
     def __init__(self, env: EnvBase) -> None:
-        self._simulation: VectorSimulation = env.base_env.simulation
+        self._simulation = simulation_in(env)
         self._specs = {group: PolicySpec.of(env, group) for group in env.group_map}
 
     def __call__(self, observation: TensorDictBase) -> TensorDictBase:

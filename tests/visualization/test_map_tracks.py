@@ -8,8 +8,10 @@ from map_pages import WORLDS, box, conf_of, site, texts, world_with
 from rich.console import Console
 from states import episode_state
 
+from dune_rl.config.build import make_learning_env
 from dune_rl.core.errors import WorldError
 from dune_rl.core.seeding import stream
+from dune_rl.evaluation.policies import PolicySource
 from dune_rl.reporting.views import maps
 from dune_rl.reporting.views import tracks as view_tracks
 from dune_rl.reporting.views.tracks import describe_ending
@@ -122,6 +124,23 @@ def test_tracks_are_those_of_the_episodes_of_the_seed() -> None:
         left = float(np.hypot(*(each.points[-1] - [start.goal_x, start.goal_y])))
         assert each.agent == "rover_0" and each.ending == "goal reached" and left < here.goal_distance_m
         assert np.hypot(*np.diff(each.points, axis=0).T).max() < 0.2
+
+
+@pytest.mark.parametrize("name", ["random", "mppi"])
+def test_built_in_policies_drive_as_in_an_evaluation(name: str) -> None:
+    """Whatever the seed of the episodes is, of which neither draws its own chance."""
+    limit = "task.terminations.time_limit.max_steps=25"
+    conf = conf_of("+world=flat", "actors=none", f"policy={name}", "seed=9", "episodes=1", limit)
+    (track,) = maps.drive_episodes(conf, QUIET)
+    env = make_learning_env(conf, 1, conf.seed)
+    policy = PolicySource(name, "built-in", name).load(env)
+    env.set_seed(conf.seed)
+    step = env.reset()
+    for _ in range(20):
+        step = env.step_mdp(env.step(policy(step)))
+    position = env.base_env.simulation.state.groups["rover"].motion.position_w[0, :2]
+    np.testing.assert_array_equal(track.points[20], position)
+    env.close()
 
 
 @pytest.mark.slow

@@ -20,8 +20,8 @@ from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.pictures import Pictures
 from dune_rl.env.requests import EpisodePlan
 from dune_rl.env.simulation import VectorSimulation
+from dune_rl.evaluation.policies import PolicySource
 from dune_rl.learning.group_policy import Policy
-from dune_rl.learning.policies import built_in_policy
 from dune_rl.learning.saved_policies import load_policy
 from dune_rl.reporting.views.tracks import TrackRecorder
 from dune_rl.sensors.settings import SensorSettings
@@ -136,12 +136,13 @@ SENSORS_OF_POLICIES: dict[str, tuple[str, ...] | None] = {
 def policy_factory(conf: ViewConf, env: EnvBase) -> Callable[[], Policy]:
     """Makes the policy of `conf` for all external groups of `env`: a new one for each episode.
 
-    A random policy thus does not depend on the episodes before.
+    Built-in policies act as in an evaluation.
     """
     if conf.checkpoint is not None:
         trained, _ = load_policy(Path(conf.checkpoint), env, allow_more=True)
         return lambda: trained
-    return lambda: built_in_policy(conf.policy or "go_to_goal", env, conf.seed)
+    name = conf.policy or "go_to_goal"
+    return lambda: PolicySource(name, "built-in", name).load(env)
 
 
 def write_orbit(view: EpisodeView, path: Path) -> Path:
