@@ -73,6 +73,11 @@ class ViewConf(EnvConf):
                 f"view=map shows one world, and randomisation.{drawn[0]} draws another for each episode: "
                 "set randomisation=none"
             )
+        if self.view == "map" and self.episode and not (self.set or self.checkpoint or self.policy):
+            raise ValueError(
+                f"view=map shows episode={self.episode} of a set=NAME, or as a checkpoint=PATH or policy=NAME "
+                "drives it; without one it shows examples of starts and goals: leave episode out"
+            )
         return self
 
 

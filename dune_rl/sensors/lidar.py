@@ -22,6 +22,10 @@ from dune_rl.state.state import GroupState, Motion, State
 _NOWHERE_M = 1e6
 
 
+# Of all rings of a scan.
+_MOST_RAYS = 2**18
+
+
 class ScannerConf(SensorSettings):
     """Range, field of view and mount of a LiDAR."""
 
@@ -61,6 +65,11 @@ class LidarConf(ScannerConf):
         if len(self.rings_deg) == 1 or any(np.diff(self.rings_deg) <= 0.0):
             raise ValueError(
                 f"rings_deg must be at least two rising elevations, or none (got {list(self.rings_deg)})"
+            )
+        if len(self.rings_deg) * self.n_beams > _MOST_RAYS:
+            raise ValueError(
+                f"{len(self.rings_deg)} rings of n_beams={self.n_beams} are more than {_MOST_RAYS:,} rays: "
+                "give fewer rings_deg, or fewer beams"
             )
         return self
 

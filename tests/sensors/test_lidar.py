@@ -314,6 +314,11 @@ def test_the_elevations_of_rings_rise(rings_deg: list[float]) -> None:
         lidar_conf(rings_deg=rings_deg)
 
 
+def test_rings_have_no_more_rays_than_a_machine_can_cast() -> None:
+    with pytest.raises(ValidationError, match=r"17 rings of n_beams=16384 are more than 262,144 rays"):
+        lidar_conf(n_beams=16_384, n_segments=16_384, rings_deg=list(range(17)))
+
+
 def test_rings_with_faults_and_in_haze_stay_within_bounds() -> None:
     words = ["sensors=perception_3d", "sensors.lidar.realism=rplidar_a2m8", "weather=fog", "actors=walkers"]
     conf = compose_environment("inspection", [*words, "+sensors.command_costs={}"])

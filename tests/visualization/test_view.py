@@ -233,6 +233,12 @@ def test_two_drivers_are_refused() -> None:
         compose(ViewConf, ["+world=flat", "checkpoint=runs/a", "policy=random"])
 
 
+def test_a_map_that_nobody_drives_has_no_numbered_episode() -> None:
+    with pytest.raises(ConfigError, match=r"episode=3 of a set=NAME.* leave episode out"):
+        compose(ViewConf, ["+world=flat", "view=map", "episode=3"])
+    assert compose(ViewConf, ["+world=flat", "view=map", "episode=3", "policy=random"]).episode == 3
+
+
 def test_help_and_settings_are_shown(call: Call, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call("--help") == 0
     text = capsys.readouterr().out
