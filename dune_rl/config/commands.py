@@ -75,8 +75,8 @@ class ViewConf(EnvConf):
             )
         if self.view == "map" and self.episode and not (self.set or self.checkpoint or self.policy):
             raise ValueError(
-                f"view=map shows episode={self.episode} of a set=NAME, or as a checkpoint=PATH or policy=NAME "
-                "drives it; without one it shows examples of starts and goals: leave episode out"
+                f"view=map shows episode={self.episode} of a set=NAME, or as a checkpoint=PATH or "
+                "policy=NAME drives it; without one it shows examples of starts and goals: leave episode out"
             )
         return self
 
