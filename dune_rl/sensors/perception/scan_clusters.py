@@ -11,8 +11,8 @@ from dune_rl.geometry.planar import length
 _WAS_FREE, _RESTS = 1, 2
 # Two returns are at one place within this, and per metre of range [m]; past a place is half as much farther.
 _SAME_M, _SAME_PER_M = 0.10, 0.02
-# Rays next to each other may see one place if they are this close there [m].
-_BESIDE_M = 0.25
+# Rays within this angle, or next to each other, may see one place if they are this close there [m].
+_BESIDE_RAD, _BESIDE_M = 0.049, 0.25
 # An object ends where the range of neighbouring rays jumps by more than this [m], and per metre of range.
 _JUMP_M, _JUMP_PER_M = 0.35, 0.08
 # Wider ones are walls, banks or hedges.
@@ -57,6 +57,7 @@ def compare_with_past(
     rays = len(sees)
     is_circle = _is_circle(rays, per_rad)
     half_rad = 0.5 * (rays - 1) / per_rad
+    beside = max(1, np.int64(np.round(_BESIDE_RAD * per_rad)))
     for ray in range(rays):
         found[ray] = 0
         if not sees[ray] or not len(scans):
@@ -70,11 +71,11 @@ def compare_with_past(
             bearing = (bearing + np.pi) % (2.0 * np.pi) - np.pi + half_rad
             middle = np.int64(np.round(bearing * per_rad))
             nearest, miss = np.inf, np.inf
-            for number in range(middle - 1, middle + 2):
+            for number in range(middle - beside, middle + beside + 1):
                 if is_circle or 0 <= number < rays:
                     seen = scans[past, number % rays]
                     nearest = min(nearest, seen)
-                    if number == middle or away < per_rad * _BESIDE_M:
+                    if abs(number - middle) * away < per_rad * _BESIDE_M:
                         miss = min(miss, abs(seen - away))
             room = _SAME_M + _SAME_PER_M * away
             if np.isfinite(nearest) and nearest > away + 1.5 * room:

@@ -151,3 +151,17 @@ def test_what_rests_is_known_to_in_every_field_of_view(fov_deg: float, turn_radp
     members = np.empty(len(bearings), np.int64)
     objects = np.empty((len(bearings), 3))
     assert find_clusters(now, places, sees, found, mount, rays[1], objects, members) <= 1
+
+
+@pytest.mark.parametrize("n_beams", [512, 1024])
+def test_what_rests_is_known_by_fine_scans_too(n_beams: int) -> None:
+    """Walls of a room of 10 m, where the yaw of the odometry is off by 0.07 rad, which is many rays."""
+    bearings = beam_angles(LidarConf(n_beams=n_beams))
+    ahead = np.stack([np.cos(bearings), np.sin(bearings)], -1)
+    ranges = 5.0 / np.abs(ahead).max(axis=1)
+    found = np.empty(n_beams, np.int64)
+    rays = bearings[0], 1.0 / (bearings[1] - bearings[0])
+    past = np.array([[0.0, 0.0, 0.07]])
+    compare_with_past(ranges[:, None] * ahead, np.ones(n_beams, bool), ranges[None], past, *rays, found)
+    assert (found == 2).mean() > 0.95
+    assert not (found == 1).any()
