@@ -280,8 +280,9 @@ def _check_device(conf: Conf) -> None:
 def _check_machine(conf: Conf) -> None:
     _check_device(conf)
     processes, cores = conf.learning.collector.processes, len(os.sched_getaffinity(0))
-    # One learner's thread beside as many workers as cores is busy for a part of the time.
-    if processes + (conf.learning.threads or 1) > cores + 1:
+    # A single thread of the learner is busy for a part of the time: workers may take all cores.
+    threads = conf.learning.threads or 1
+    if processes > cores or (threads > 1 and processes + threads > cores):
         command_line.print_error(
             f"note: {processes} worker processes and {conf.learning.threads or 1} learner threads share "
             f"{cores} cores; fewer may be faster (learning.collector.workers, learning.threads)"

@@ -22,7 +22,7 @@ from dune_rl.state.state import GroupState, Motion, State
 _NOWHERE_M = 1e6
 
 
-# Of all rings of a scan.
+# A scan of all rings has no more rays.
 _MOST_RAYS = 2**18
 
 
@@ -61,7 +61,7 @@ class LidarConf(ScannerConf):
     )
 
     @model_validator(mode="after")
-    def _rising_rings(self) -> Self:
+    def _sound_rings(self) -> Self:
         if len(self.rings_deg) == 1 or any(np.diff(self.rings_deg) <= 0.0):
             raise ValueError(
                 f"rings_deg must be at least two rising elevations, or none (got {list(self.rings_deg)})"

@@ -7,6 +7,7 @@ from typing import Any
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from dune_rl.sensors.settings import SensorSettings
 from dune_rl.visualization.reading_panels import (
     INK,
     LABELS,
@@ -76,8 +77,10 @@ def _choose_panels(readings: Readings, conf: Sensors) -> list[_Panel]:
     return panels
 
 
-def _seen_with(lidar: str, readings: Readings, conf: Sensors) -> dict[str, tuple[str, NDArray[Any]]]:
-    """What is drawn as seen by a LiDAR: the kind of sensor and the reading, by the readings' names."""
+def _seen_with(
+    lidar: str, readings: Readings, conf: Sensors
+) -> dict[str, tuple[SensorSettings, NDArray[Any]]]:
+    """What is drawn as seen by a LiDAR: the sensor's settings and the reading, by the readings' names."""
     seen = {}
     for name, settings in conf.items():
         source: Any = settings
@@ -85,5 +88,5 @@ def _seen_with(lidar: str, readings: Readings, conf: Sensors) -> dict[str, tuple
             source = conf.get(source.tracks)
         of = name if settings.sensor == "lidar" else getattr(source, "lidar", None)
         if of == lidar and name in readings:
-            seen[name] = settings.sensor, readings[name]
+            seen[name] = settings, readings[name]
     return seen

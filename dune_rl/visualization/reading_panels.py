@@ -122,39 +122,41 @@ def _style_polar(axes: Any, title: str) -> None:
 
 
 def draw_scans(
-    axes: Any, seen: Mapping[str, tuple[str, NDArray[Any]]], goal: NDArray[Any] | None, conf: Any, label: str
+    axes: Any, seen: Mapping[str, tuple[Any, NDArray[Any]]], goal: NDArray[Any] | None, conf: Any, label: str
 ) -> None:
-    """What is `seen` by a LiDAR, now and before, low obstacles and tracks: kinds of sensors with readings."""
+    """What is `seen` by a LiDAR, now and before, low obstacles and tracks: sensors' settings and readings."""
     _style_polar(axes, label)
     drawn: set[str] = set()
-    farthest = 1.0
-    for style, (colour, opacity, when) in _SCAN_STYLES.items():
-        for kind, ranges in seen.values():
-            if kind == style:
+    distances = [np.zeros(0)]
+    for kind, (colour, opacity, when) in _SCAN_STYLES.items():
+        for settings, ranges in seen.values():
+            if settings.sensor == kind:
                 fov_rad = np.deg2rad(conf.fov_deg)
                 width = fov_rad / len(ranges)
                 bearing = -fov_rad / 2 + (np.arange(len(ranges)) + 0.5) * width
-                nothing = conf.range_m * 0.999 if kind != "low_obstacles" else ranges.max()
-                hit = ranges < nothing
+                hit = ranges < 0.999 * getattr(settings, "range_m", conf.range_m)
                 axes.bar(
                     bearing[hit], 0.35, width=width * 0.92, bottom=ranges[hit] - 0.18, color=colour,
                     alpha=opacity, label=None if when in drawn else when,
                 )  # fmt: skip
                 drawn.add(when)
-                farthest = max(farthest, 1.2 * ranges[hit].max(initial=0.0))
-    for kind, tracks in seen.values():
-        if kind == "agent_tracks":
-            _draw_tracks(axes, tracks.reshape(-1, 6))
-    farthest = min(farthest, conf.range_m) if drawn else conf.range_m
+                distances.append(ranges[hit])
+    distances += [
+        _draw_tracks(axes, reading.reshape(-1, 6))
+        for settings, reading in seen.values()
+        if settings.sensor == "agent_tracks"
+    ]
     if goal is not None:
-        distance, bearing_goal = goal
-        axes.plot([bearing_goal], [min(distance, farthest)], "o", color=_GREEN, label="goal")
-    axes.set_ylim(0.0, farthest)
-    axes.legend(loc="lower right", fontsize=7, facecolor=PAPER, labelcolor=INK, framealpha=0.75)
+        distances.append(np.minimum(goal[:1], conf.range_m))
+        axes.plot(goal[1:2], distances[-1], "o", color=_GREEN, label="goal")
+    found = np.concatenate(distances)
+    axes.set_ylim(0.0, max(1.0, 1.2 * found.max()) if len(found) else conf.range_m)
+    if axes.get_legend_handles_labels()[1]:
+        axes.legend(loc="lower right", fontsize=7, facecolor=PAPER, labelcolor=INK, framealpha=0.75)
 
 
-def _draw_tracks(axes: Any, tracks: NDArray[Any]) -> None:
-    """Where tracks (K, 6), of `agent_tracks`, are and will be in a second."""
+def _draw_tracks(axes: Any, tracks: NDArray[Any]) -> NDArray[Any]:
+    """Draw where tracks (K, 6), of `agent_tracks`, are and will be in a second; their distances [m] now."""
     tracks = tracks[tracks[:, 4] > 0.0]
     now = tracks[:, :2] / tracks[:, 4:5]
     places = np.stack([now, now + tracks[:, 2:4]], axis=1)
@@ -164,6 +166,7 @@ def _draw_tracks(axes: Any, tracks: NDArray[Any]) -> None:
         label = None if number else "tracks, in 1 s"
         axes.plot(bearing, distance, color=INK, linewidth=1.2)
         axes.plot(bearing[:1], distance[:1], "o", color=INK, markersize=5, label=label)
+    return apart[:, 0]
 
 
 def _draw_way_left(axes: Any, reading: NDArray[Any], conf: Any, label: str) -> None:
@@ -217,7 +220,7 @@ def draw_numbers(axes: Axes, readings: Readings) -> None:
     style_axes(axes, "numbers")
     lines = []
     for name, values in readings.items():
-        numbers = [f"{value:9.3f}" for value in np.ravel(values)]
+        numbers = [f" {value:9.3f}" for value in np.ravel(values)]
         lines += [name, *("  " + "".join(numbers[at : at + 3]) for at in range(0, len(numbers), 3))]
     text = axes.text(
         0.02, 0.98, "\n".join(lines), color=INK, fontsize=8 if len(lines) <= _MOST_LINES else 5.5,
@@ -259,5 +262,5 @@ PANELS: dict[tuple[str, str], Callable[..., None]] = {
     ("command_costs", ""): _draw_command_costs,
     ("way_left", ""): _draw_way_left,
 }  # fmt: skip
-# Kinds of sensors whose panels are polar.
-POLAR = {"lidar", "way_left"}
+# Kinds of these whose panels are polar, as those of LiDARs are.
+POLAR = {"way_left"}

@@ -202,6 +202,24 @@ def test_a_policy_with_a_prior_learns_and_keeps_to_where_it_began(
     torch.testing.assert_close(now, then)
 
 
+def test_critics_keep_what_they_were_trained_to_add(tmp_path: Path) -> None:
+    """Whether the prior is added to their values follows from the run that trained them."""
+    torch.manual_seed(0)
+    features = torch.rand(5, 2 + len(command_grid(SPEC, GRID)))
+    before = learner_with_prior(tmp_path, target_divergence=0.1)
+    after = learner_with_prior(tmp_path)
+    assert not torch.allclose(_values(before, features), _values(after, features))
+    after.start_from({**before.state_dict(), "algorithm": "discrete_sac"})
+    torch.testing.assert_close(_values(after, features), _values(before, features))
+
+
+def _values(learner: DiscreteSac, features: torch.Tensor) -> torch.Tensor:
+    batch = TensorDict({"features": features}, [len(features)])
+    loss = learner._step.loss
+    values: torch.Tensor = loss._vmap_qnetworkN0(batch, loss.qvalue_network_params).get("action_value")
+    return values
+
+
 @pytest.mark.parametrize("prior", [None, "guess"])
 def test_it_starts_from_what_imitation_saves(tmp_path: Path, prior: str | None) -> None:
     spec = PolicySpec({"goal": 2, "guess": len(command_grid(SPEC, GRID))}, SPEC.low, SPEC.high)

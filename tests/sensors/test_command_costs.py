@@ -11,6 +11,7 @@ from test_perception import SENSORS as PERCEPTION
 from dune_rl.core.errors import ConfigError
 from dune_rl.env.requests import AgentRequest
 from dune_rl.env.simulation import VectorSimulation
+from dune_rl.sensors.perception import dynamic_window
 from dune_rl.sensors.perception.dynamic_window import RESPONSE, STEPS, predict_actors, score_commands
 from dune_rl.state.command_grid import CommandGridConf, command_grid
 
@@ -130,41 +131,52 @@ def test_a_way_that_is_no_way_left_is_refused() -> None:
 
 
 @pytest.mark.parametrize("gap_error", [(0.0, 0.0), (0.06, 0.25)])
-def test_what_is_left_out_would_not_change_the_costs(gap_error: tuple[float, float]) -> None:
-    """Costs up to the cap are those without one, and who is too far away to be met changes nothing."""
+@pytest.mark.parametrize("cap", [1.0, 8.0])
+def test_what_is_left_out_would_not_change_the_costs(gap_error: tuple[float, float], cap: float) -> None:
+    """Costs up to the cap are those of all commands to their ends, by all actors, without any bounds."""
     random = np.random.default_rng(0)
     rows, cells = 12, 96
     grids = np.tile((-3.0, -3.0, 16.0, cells, cells), (rows, 1)).astype(float)
-    fields = 10.0 + random.uniform(0.0, 12.0, (rows, cells * cells)).astype(np.float32)
+    spread = np.linspace(0.1, 12.0, rows)[:, None]
+    fields = (10.0 + spread * random.uniform(0.0, 1.0, (rows, cells * cells))).astype(np.float32)
     clearances = random.uniform(0.2, 0.8, (rows, cells * cells)).astype(np.float32)
     waypoints = random.integers(0, cells * cells, (rows, cells * cells)).astype(np.int32)
-    poses = random.uniform(-0.5, 0.5, (rows, 3))
+    # Some are outside the grid.
+    poses = random.uniform(-0.5, 0.5, (rows, 3)) * np.where(np.arange(rows) % 4 == 3, 8.0, 1.0)[:, None]
     twists = random.uniform(-1.0, 1.0, (rows, 2))
     goals = random.uniform(3.0, 20.0, (rows, 2))
     # Of half of the rows the goal is near: they arrive.
     goals[::2] /= 10.0
-    actors = np.zeros((rows, 3, 6))
-    actors[..., :2] = random.uniform(-4.0, 4.0, (rows, 3, 2))
-    actors[..., 2:5] = random.uniform(-1.0, 1.0, (rows, 3, 3))
+    actors = np.zeros((rows, 5, 6))
+    actors[..., :2] = random.uniform(-4.0, 4.0, (rows, 5, 2))
+    actors[..., 2:5] = random.uniform(-1.0, 1.0, (rows, 5, 3))
     actors[..., 5] = 0.35
+    recovers = np.arange(rows) % 3 == 2
     vehicle = (-1.0, 1.0, 2.0, 0.0, 0.15, 0.2, 0.35, 0.1, *gap_error)
+    places = np.empty((rows, STEPS, 5, 2))
+    predict_actors(actors, places)
 
-    def costs(actors: np.ndarray, cap: float) -> np.ndarray:
-        places = np.empty((rows, STEPS, actors.shape[1], 2))
-        predict_actors(actors, places)
-        found = np.zeros((rows, len(COMMANDS)))
-        recovers, likely = np.zeros(rows, bool), np.zeros(rows, np.int64)
-        score_commands(
-            poses, twists, grids, fields, waypoints, clearances, actors, places, goals, vehicle, RESPONSE,
-            recovers, COMMANDS, likely, cap, found,
-        )  # fmt: skip
-        above: np.ndarray = found - found.min(axis=1, keepdims=True)
-        return above
+    def cost(row: int, speed: float, turn: float) -> float:
+        maps = grids[row], fields[row], waypoints[row], clearances[row]
+        found: list[float] = []
+        for then in {0.0, turn}:
+            command = np.array([speed, turn, then])
+            found.append(
+                dynamic_window._command_cost(
+                    poses[row], twists[row], command, maps, places[row], actors[row], goals[row], vehicle,
+                    RESPONSE, recovers[row], -np.inf, np.inf,
+                )
+            )  # fmt: skip
+        return min(found)
 
-    whole = costs(actors, 1e9)
+    whole = np.array([[cost(row, *command) for command in COMMANDS] for row in range(rows)])
+    whole -= whole.min(axis=1, keepdims=True)
     assert np.isfinite(whole).all()
-    assert ((whole > 8.0).mean(axis=1) > 0.05).mean() > 0.5, "nothing is left out"
-    capped = np.minimum(costs(actors, 8.0), 8.0)
-    np.testing.assert_array_equal(capped, np.minimum(whole, 8.0))
-    far = np.concatenate([actors, np.full_like(actors[:, :1], 30.0)], axis=1)
-    np.testing.assert_array_equal(costs(far, 8.0), costs(actors, 8.0))
+    found, likely = np.zeros((rows, len(COMMANDS))), np.full(rows, 7)
+    score_commands(
+        poses, twists, grids, fields, waypoints, clearances, actors, places, goals, vehicle, RESPONSE,
+        recovers, COMMANDS, likely, cap, found,
+    )  # fmt: skip
+    assert np.isinf(found).sum() > 10, "nothing is left out"
+    found -= found.min(axis=1, keepdims=True)
+    np.testing.assert_array_equal(np.minimum(found, cap), np.minimum(whole, cap))

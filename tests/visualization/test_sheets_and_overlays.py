@@ -105,6 +105,28 @@ def test_what_a_robot_makes_of_its_readings_is_drawn() -> None:
     assert {"now", "past"} <= {text.get_text() for text in legend.get_texts()}
 
 
+def test_what_is_far_is_on_the_sheet_of_what_is_near() -> None:
+    conf = parse_sensors(["lidar", "agent_tracks", "goal"])
+    near, track = np.full(32, 12.0, np.float32), np.zeros(18, np.float32)
+    near[0] = 2.0
+    track[:6] = 0.0, 1.0, 0.5, 0.0, 1.0 / 6.0, 0.25
+    cases: list[tuple[dict[str, np.ndarray], float]] = [
+        ({"lidar": near, "goal": np.array([8.0, 0.3])}, 8.0),
+        ({"lidar": near, "agent_tracks": track}, 6.0),
+        ({"agent_tracks": track}, 6.0),
+        ({"lidar": near}, 2.0),
+        ({"lidar": np.full_like(near, 12.0)}, 12.0),
+        ({"agent_tracks": np.zeros_like(track)}, 12.0),
+    ]
+    for readings, farthest in cases:
+        figure = contact_sheet(readings, conf, PICTURE, "")
+        figure.canvas.draw()
+        limit = figure.axes[1].get_ylim()[1]
+        assert farthest <= limit <= 1.2 * farthest + 1e-6
+        drawn = [float(line.get_ydata()[-1]) for line in figure.axes[1].lines if line.get_label() == "goal"]
+        assert drawn == ([8.0] if "goal" in readings else [])
+
+
 def test_what_meets_nothing_makes_a_sheet_too() -> None:
     conf = parse_sensors(["lidar", "lidar_3d", "depth_strip", "camera"])
     nothing = {

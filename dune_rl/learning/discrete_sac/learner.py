@@ -119,7 +119,8 @@ class DiscreteSacStep(GradientStep):
     @property
     def _trains_encoder(self) -> bool:
         """Also while a new policy is its prior, which reads nothing of what the encoder makes."""
-        return self._trains_actor or self._conf.start_from is None
+        is_prior = self._conf.prior is not None and self._conf.start_from is None
+        return self._trains_actor or is_prior
 
     def _set_temperature(self, head: CommandHead) -> None:
         """Let the logits of a prior be those of the best policy by its costs, at the initial coefficient."""
@@ -215,20 +216,24 @@ class _CommandValues(nn.Module):
     divergence is measured: costs of a look ahead differ by more than values, whose next commands are free.
     """
 
+    prior_scale: Tensor
+
     def __init__(self, features: int, conf: DiscreteSacConf, head: CommandHead) -> None:
         super().__init__()
         self.body = perceptron(features, conf.hidden, len(head.commands))
-        is_guess = conf.target_divergence is None or conf.start_from is not None
-        self._scale = conf.reward_scale * (1.0 + head.prior_weight) if is_guess else 0.0
+        adds_prior = conf.target_divergence is None or conf.start_from is not None
+        scale = conf.reward_scale * (1.0 + head.prior_weight) if adds_prior else 0.0
+        # It goes along with the weights, which were trained with it.
+        self.register_buffer("prior_scale", torch.tensor(scale))
         # The policy's own, whose weights are no part of the critics.
         self._of_policy = (head,)
-        if conf.prior is not None and conf.start_from is None and is_guess:
+        if conf.prior is not None and conf.start_from is None and adds_prior:
             _shrink(self.body[-1])
 
     def forward(self, features: Tensor) -> Tensor:
         (head,) = self._of_policy
         values: Tensor = self.body(features).float()
-        return values - self._scale * head.guess(features) if self._scale else values
+        return values - self.prior_scale * head.guess(features)
 
 
 class _Logits(nn.Module):

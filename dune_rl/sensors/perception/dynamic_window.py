@@ -170,7 +170,7 @@ def _reach(twist: Any, vehicle: Any) -> float:
 @compile_function
 def _least_left(pose: Any, goal: Any, grid: Any, field: Any, reach: float) -> float:
     """The least that can be left at the end of a look ahead that comes `reach` [m] far; 0 near the goal."""
-    if length(goal[0] - pose[0], goal[1] - pose[1]) < reach + _ARRIVED_M:
+    if length(goal[0] - pose[0], goal[1] - pose[1]) < reach + _ARRIVED_M + _ROUNDING_M:
         return 0.0
     rows, columns = np.int64(grid[3]), np.int64(grid[4])
     column, row = (pose[0] - grid[0]) * grid[2], (pose[1] - grid[1]) * grid[2]
@@ -193,7 +193,7 @@ def _in_reach(pose: Any, actors: Any, places: Any, vehicle: Any, reach: float) -
     near = max(_NEAR_ACTOR_M, _LIKELY * (vehicle[8] + vehicle[9] * STEPS * STEP_S))
     numbers, count = np.empty(len(actors), np.int64), 0
     for number in range(len(actors)):
-        limit = reach + around + near + actors[number, 5]
+        limit = reach + around + near + actors[number, 5] + _ROUNDING_M
         for step in range(STEPS):
             if length(places[step, number, 0] - pose[0], places[step, number, 1] - pose[1]) < limit:
                 numbers[count] = number

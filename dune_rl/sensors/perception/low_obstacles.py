@@ -135,12 +135,28 @@ def _leave_out_moving(
     points: Any, mount: Any, bearings: Any, ranges: Any, moves: Any, sees: Any, hits: Any
 ) -> None:  # fmt: skip
     """Which of the rays that `sees` (P,) has met something, `hits` (P,), that does not move in the scan."""
-    per_rad, first = len(bearings) / (2.0 * np.pi), bearings[0]
+    count = len(bearings)
     for number in range(len(points)):
+        hits[number] = sees[number]
         ahead, left = points[number, 0] - mount[0], points[number, 1] - mount[1]
-        segment = np.int64(np.round((np.arctan2(left, ahead) - first) * per_rad)) % len(bearings)
-        is_near = abs(np.hypot(ahead, left) - ranges[segment]) < _MOVING_M
-        hits[number] = sees[number] and not (moves[segment] and is_near)
+        place, is_circle = _place_in_scan(np.arctan2(left, ahead), bearings)
+        segment = np.int64(np.round(place))
+        if is_circle or 0 <= segment < count:
+            is_near = abs(np.hypot(ahead, left) - ranges[segment % count]) < _MOVING_M
+            hits[number] = sees[number] and not (moves[segment % count] and is_near)
+
+
+@compile_function
+def _place_in_scan(bearing: float, bearings: Any) -> Any:
+    """Where a bearing [rad] lies in a scan, in segments from its first, and whether the scan is a circle."""
+    count = len(bearings)
+    per_rad = count / (2.0 * np.pi)
+    if count == 1 or (bearings[1] - bearings[0]) * (count + 0.5) > 2.0 * np.pi:
+        return (bearing - bearings[0]) * per_rad, True
+    per_rad = 1.0 / (bearings[1] - bearings[0])
+    # From the middle of the view.
+    half = 0.5 * (count - 1) / per_rad
+    return ((bearing - bearings[0] - half + np.pi) % (2.0 * np.pi) - np.pi + half) * per_rad, False
 
 
 @compile_function
@@ -259,7 +275,6 @@ def _look_around(
     origin_x = pose[0] + cos * mount[0] - sin * mount[1]
     origin_y = pose[1] + sin * mount[0] + cos * mount[1]
     count = len(bearings)
-    per_rad, first = count / (2.0 * np.pi), bearings[0]
     found[:] = farthest
     reach = np.int64(np.ceil(farthest / _CELL_M))
     middle_x, middle_y = np.int64(np.floor(origin_x / _CELL_M)), np.int64(np.floor(origin_y / _CELL_M))
@@ -274,7 +289,8 @@ def _look_around(
                 continue
             bearing = np.arctan2(along_y, along_x) - pose[2]
             half = np.arctan2(0.5 * _CELL_M, away)
-            low = np.int64(np.round((bearing - half - first) * per_rad))
-            high = np.int64(np.round((bearing + half - first) * per_rad))
-            for segment in range(low, high + 1):
-                found[segment % count] = min(found[segment % count], away)
+            low, is_circle = _place_in_scan(bearing - half, bearings)
+            high = _place_in_scan(bearing + half, bearings)[0]
+            for segment in range(np.int64(np.round(low)), np.int64(np.round(high)) + 1):
+                if is_circle or 0 <= segment < count:
+                    found[segment % count] = min(found[segment % count], away)
