@@ -88,7 +88,8 @@ GROUND = {**SENSORS, "imu": {}, "ground_profile": {}, "low_obstacles": {}, "imu_
 
 def on_ground(*boxes: Any, heights: Any = None, **settings: Any) -> VectorSimulation:
     """A rover at (-2, 0) that faces along x, after some steps at rest."""
-    simulation = simulation_on(plain(*boxes, heights=heights), sensors=GROUND, **settings)
+    settings = {"sensors": GROUND, **settings}
+    simulation = simulation_on(plain(*boxes, heights=heights), **settings)
     simulation.reset(requests={0: {"rover_0": AgentRequest((-2.0, 0.0, 0.0), (3.0, 0.0))}})
     for _ in range(5):
         act(simulation)
@@ -126,6 +127,18 @@ def test_a_brick_below_the_scan_is_a_step_that_is_remembered() -> None:
     segment = round((bearing + np.pi) / (2 * np.pi) * 64 - 0.5) % 64
     distance = np.hypot(1.374 - 0.174 * np.cos(yaw), 0.174 * np.sin(yaw))
     assert found["low_obstacles"][segment - 1 : segment + 2].min() == pytest.approx(distance, abs=0.3)
+    simulation.close()
+
+
+@pytest.mark.parametrize("fov_deg", [120.0, 180.0])
+def test_low_obstacles_are_in_the_segments_of_a_narrow_scan(fov_deg: float) -> None:
+    brick = box(-2.0 + 0.174 + 1.2, 0.0, 0.2, 0.5, 0.15)
+    simulation = on_ground(brick, sensors={**GROUND, "lidar": {"n_segments": 64, "fov_deg": fov_deg}})
+    found = readings(simulation)["low_obstacles"]
+    assert found[31:33] == pytest.approx(1.15, abs=0.15)
+    # It is 0.5 m wide, and nothing is beside it.
+    half = np.rad2deg(np.arctan2(0.25 + 0.1, 1.0)) / fov_deg * 64 + 1.0
+    assert (np.abs(np.flatnonzero(found < 3.0) - 31.5) <= half).all()
     simulation.close()
 
 
