@@ -57,7 +57,7 @@ def compare_with_past(
     rays = len(sees)
     is_circle = _is_circle(rays, per_rad)
     half_rad = 0.5 * (rays - 1) / per_rad
-    beside = max(1, np.int64(np.round(_BESIDE_RAD * per_rad)))
+    beside = max(1, round(_BESIDE_RAD * per_rad))
     for ray in range(rays):
         found[ray] = 0
         if not sees[ray] or not len(scans):
