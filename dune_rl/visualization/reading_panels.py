@@ -91,12 +91,14 @@ def _draw_segments(
     )
 
 
-def _draw_height_scan(axes: Axes, reading: NDArray[Any], conf: Any, label: str) -> None:
+def _draw_heights(
+    axes: Axes, reading: NDArray[Any], conf: Any, label: str, *, title: str, aspect: Any
+) -> None:
     # Ahead is up, left is left.
     _draw_image(
         axes, reading.reshape(conf.rows, conf.columns)[::-1, ::-1], conf, label,
-        title="{conf.rows} by {conf.columns}, ahead is up", bar="m above the ground below", cmap="BrBG_r",
-        norm=CenteredNorm(halfrange=max(0.1, float(np.abs(reading).max()))), aspect="equal",
+        title=title, bar="m above the ground below", cmap="BrBG_r",
+        norm=CenteredNorm(halfrange=max(0.1, float(np.abs(reading).max()))), aspect=aspect,
     )  # fmt: skip
 
 
@@ -187,15 +189,6 @@ def _draw_way_left(axes: Any, reading: NDArray[Any], conf: Any, label: str) -> N
     _bar(axes, points, "m of way more than from here")
 
 
-def _draw_ground_profile(axes: Axes, reading: NDArray[Any], conf: Any, label: str) -> None:
-    # As seen from inside: far rows are up, left is left.
-    _draw_image(
-        axes, reading.reshape(conf.rows, conf.columns)[::-1, ::-1], conf, label,
-        title="{conf.rows} rays by {conf.columns}, far is up", bar="m above the ground below", cmap="BrBG_r",
-        norm=CenteredNorm(halfrange=max(0.1, float(np.abs(reading).max()))), aspect="auto",
-    )  # fmt: skip
-
-
 def _draw_command_costs(axes: Axes, reading: NDArray[Any], conf: Any, label: str) -> None:
     # Fast is up, left is left.
     _draw_image(
@@ -256,9 +249,13 @@ PANELS: dict[tuple[str, str], Callable[..., None]] = {
         shown=lambda reading, conf: reading[:, ::-1, 0], aspect="auto",
     ),
     ("lidar_3d", "segmentation"): partial(_draw_segments, aspect="auto", step=-1),
-    ("height_scan", ""): _draw_height_scan,
+    ("height_scan", ""): partial(
+        _draw_heights, title="{conf.rows} by {conf.columns}, ahead is up", aspect="equal"
+    ),
     ("depth_strip", ""): _draw_depth_strip,
-    ("ground_profile", ""): _draw_ground_profile,
+    ("ground_profile", ""): partial(
+        _draw_heights, title="{conf.rows} rays by {conf.columns}, far is up", aspect="auto"
+    ),
     ("command_costs", ""): _draw_command_costs,
     ("way_left", ""): _draw_way_left,
 }  # fmt: skip
