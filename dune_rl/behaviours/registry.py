@@ -39,6 +39,7 @@ BEHAVIOURS: Registry[Behaviour] = Registry(
     own={
         "crossing": "dune_rl.behaviours.pursuit:Crossing",
         "dwa": "dune_rl.behaviours.drivers.dwa:Dwa",
+        "dwa_oracle": "dune_rl.behaviours.drivers.dwa_oracle:DwaOracle",
         "flee": "dune_rl.behaviours.pursuit:Flee",
         "follow": "dune_rl.behaviours.pursuit:Follow",
         "go_to_goal": "dune_rl.behaviours.go_to_goal:GoToGoal",

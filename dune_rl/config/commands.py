@@ -35,7 +35,7 @@ class BenchmarkConf(EnvConf):
     seed: int = Field(0, ge=0)
 
 
-BuiltInPolicy = Literal["dwa", "go_to_goal", "mppi", "oracle", "planner", "random"]
+BuiltInPolicy = Literal["dwa", "dwa_oracle", "go_to_goal", "mppi", "oracle", "planner", "random"]
 _BUILT_IN_POLICIES = get_args(BuiltInPolicy)
 
 

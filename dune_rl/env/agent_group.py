@@ -180,10 +180,13 @@ class AgentGroup:
                 f"{name} cannot act for the group {self.name}: it outputs a speed and a heading, and the "
                 f"action has {self.action_size} components; choose another robot.action"
             )
-        lidar = None if self.suite is None else self.suite.settings_of("lidar")
-        sensors = {} if self.suite is None else self.suite.settings
-        vehicle, forecast = self.body.vehicle(), self.forecast_neighbours
-        bind(DriverContext(self.name, vehicle, lidar, self.observe, forecast, sensors))
+        context = DriverContext(
+            self.name, self.body.vehicle(), None, self.observe, forecast=self.forecast_neighbours
+        )
+        if self.suite is not None:
+            lidar, sensor_of = self.suite.settings_of("lidar"), self.suite.sensors.get
+            context = replace(context, lidar=lidar, sensor_of=sensor_of)
+        bind(context)
 
     @property
     def is_external(self) -> bool:

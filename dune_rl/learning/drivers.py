@@ -15,7 +15,7 @@ from dune_rl.env.simulation import VectorSimulation
 from dune_rl.geometry.arrays import Array
 from dune_rl.state.state import GroupState
 
-DRIVERS = ("dwa", "mppi", "oracle", "planner")
+DRIVERS = ("dwa", "dwa_oracle", "mppi", "oracle", "planner")
 
 
 class BoundDriver:

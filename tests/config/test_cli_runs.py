@@ -218,8 +218,8 @@ def test_a_sweep_gives_each_job_its_folder_and_outlives_a_failure(
         (evaluate, ["policy=random", "+world=flat", "out=rows.csv"],
          "out=rows.csv: results are a folder of several files; write out=rows\n"),
         (evaluate, ["policy=randm", "+world=flat"],
-         "policy: randm is no policy; did you mean random? There are dwa, go_to_goal, mppi, oracle, planner, "
-         "random, FILE.onnx, MODULE:FUNCTION\n"),
+         "policy: randm is no policy; did you mean random? There are dwa, dwa_oracle, go_to_goal, mppi, "
+         "oracle, planner, random, FILE.onnx, MODULE:FUNCTION\n"),
         (evaluate, ["policy=random", "set=flat-v1", "world.size_m=30"],
          "set=flat-v1 determines world; leave world.size_m=30 out\n"),
         (evaluate, ["policy=random", "set=flat-v1", "episodes=201"],
@@ -237,8 +237,8 @@ def test_a_sweep_gives_each_job_its_folder_and_outlives_a_failure(
         (evaluate, ["verify=file", "sample=0"], "sample must be a whole number of at least 1 (got 0)\n"),
         (evaluate, ["-m", "policy=random"], "this command runs once; leave -m out\n"),
         (evaluate, ["+world=flat"],
-         "choose a policy: checkpoint=PATH, or policy=NAME with dwa, go_to_goal, mppi, oracle, planner, "
-         "random, FILE.onnx or MODULE:FUNCTION\n"),
+         "choose a policy: checkpoint=PATH, or policy=NAME with dwa, dwa_oracle, go_to_goal, mppi, "
+         "oracle, planner, random, FILE.onnx or MODULE:FUNCTION\n"),
     ],
 )  # fmt: skip
 def test_bad_input(

@@ -11,7 +11,8 @@ from dune_rl.learning.policies import built_in_policy
 from dune_rl.state.command_grid import CommandGridConf, command_grid
 
 SHORT = "task.terminations.time_limit.max_steps=60"
-SENSORS = {"dwa": ["sensors=perception", "+sensors.command_costs={}"]}
+_COSTS = ["sensors=perception", "+sensors.command_costs={}"]
+SENSORS = {"dwa": _COSTS, "dwa_oracle": _COSTS}
 
 
 def rows_of(name: str, scenes: int) -> list[dict[str, float]]:

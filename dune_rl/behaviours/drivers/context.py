@@ -1,13 +1,12 @@
 """What a driver may know of the body that it drives: its model, the LiDAR, and the readings."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.geometry.arrays import Array
 from dune_rl.sensors.lidar import LidarConf
-from dune_rl.sensors.sensor import Reading
-from dune_rl.sensors.settings import SensorSettings
+from dune_rl.sensors.sensor import Reading, Sensor
 from dune_rl.state.unicycle import Unicycle
 
 # Of a time step [s] and a number of steps T: places (N, K, T, 2) [m], NaN of neighbours whose ways are not
@@ -15,13 +14,17 @@ from dune_rl.state.unicycle import Unicycle
 Forecast = Callable[[float, int], Array]
 
 
+def _no_sensors(name: str) -> Sensor | None:
+    return None
+
+
 @dataclass(frozen=True)
 class DriverContext:
     """The driven group, called `group`: its vehicle model, its LiDAR if it has one, its readings.
 
     `lidar` has the mount that the body gives it. `observe` returns the latest readings by name, each of
-    shape (N, ...). `forecast`, where there is one, returns where the neighbours will be. `sensors` are the
-    settings of all sensors by name.
+    shape (N, ...). `forecast`, where there is one, returns where the neighbours will be. `sensor_of` returns
+    the sensor of a name, or None.
     """
 
     group: str
@@ -29,7 +32,7 @@ class DriverContext:
     lidar: LidarConf | None
     observe: Callable[[], dict[str, Reading]]
     forecast: Forecast | None = None
-    sensors: Mapping[str, SensorSettings] = field(default_factory=dict)
+    sensor_of: Callable[[str], Sensor | None] = _no_sensors
 
     def require_lidar(self, names: Sequence[str], who: str) -> LidarConf:
         """The LiDAR; raises ConfigError, that `who` cannot act, without it or one of the readings `names`."""

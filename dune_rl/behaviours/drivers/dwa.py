@@ -2,14 +2,12 @@
 
 from typing import Annotated
 
-import numpy as np
 from pydantic import Field
 
 from dune_rl.behaviours.drivers.context import BoundBehaviour, DriverContext
 from dune_rl.core.errors import ConfigError
 from dune_rl.geometry.arrays import Array, Flags
-from dune_rl.sensors.perception.command_costs import CommandCostsConf
-from dune_rl.state.command_grid import command_grid
+from dune_rl.sensors.perception.command_costs import CommandCosts
 from dune_rl.state.state import GroupState, State
 
 
@@ -32,21 +30,25 @@ class Dwa(BoundBehaviour):
         self._sensor = sensor
 
     def bind(self, context: DriverContext) -> None:
-        """Take the sensor's commands; raises ConfigError without it."""
+        """Take the sensor; raises ConfigError without it."""
         super().bind(context)
-        conf, vehicle = context.sensors.get(self._sensor), context.vehicle
-        if not isinstance(conf, CommandCostsConf):
-            raise ConfigError(
-                f"dwa cannot act for the group {context.group}: it needs the sensor {self._sensor}; add "
-                f"sensors=perception '+sensors.{self._sensor}={{sensor: command_costs}}'"
-            )
-        self._commands = command_grid(conf.commands, vehicle.min_speed_mps, vehicle.max_speed_mps)
+        self._costs = find_command_costs(context, self._sensor, "dwa")
 
     def reset(self, mask: Flags, group: GroupState) -> None:
         """Do nothing: the sensor remembers, and forgets by itself."""
 
     def act(self, state: State, group: GroupState) -> Array:
         """Actions (N, 2): speed [m/s] and relative heading [rad], by the readings alone."""
-        costs = self.context.observe()[self._sensor]
-        found: Array = self._commands[np.argmin(costs, axis=1)]
+        found: Array = self._costs.actions[self._costs.read()[self._sensor].argmin(axis=1)]
         return found
+
+
+def find_command_costs(context: DriverContext, sensor: str, who: str) -> CommandCosts:
+    """The sensor of this name; raises ConfigError, that the driver `who` cannot act, without it."""
+    found = context.sensor_of(sensor)
+    if not isinstance(found, CommandCosts):
+        raise ConfigError(
+            f"{who} cannot act for the group {context.group}: it needs the sensor {sensor}; add "
+            f"sensors=perception '+sensors.{sensor}={{sensor: command_costs}}'"
+        )
+    return found

@@ -6,12 +6,13 @@ import numpy as np
 from pydantic import Field
 
 from dune_rl.behaviours.drivers.context import BoundBehaviour
-from dune_rl.behaviours.drivers.route_map import plan_routes
+from dune_rl.behaviours.drivers.route_map import RouteMap, Routes, plan_routes
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.frames import POSE_COLUMNS, wrap_angle
 from dune_rl.sensors.perception.dynamic_window import (
     RESPONSE,
     STEPS,
+    Situation,
     choose_commands,
     predict_actors,
     score_commands,
@@ -20,6 +21,7 @@ from dune_rl.sensors.perception.dynamic_window import (
 from dune_rl.sensors.perception.stuck_recovery import StuckRecovery
 from dune_rl.state.state import GroupState, State
 from dune_rl.worlds.batched_worlds import BatchedWorlds
+from dune_rl.worlds.world import World
 
 # Routes lead through gaps with this room on either side.
 _SIDE_ROOM_M = 0.08
@@ -101,7 +103,7 @@ class Planner(BoundBehaviour):
     def _heading(self, yaw_rate: Array) -> Array:
         return np.clip(yaw_rate / self.context.vehicle.heading_gain_per_s, -np.pi, np.pi)
 
-    def _situation(self, state: State, group: GroupState) -> Any:
+    def _situation(self, state: State, group: GroupState) -> Situation:
         """What the follower's loops read; plans routes where they are due."""
         vehicle = self.context.vehicle
         motion, step_s = group.motion, group.episode.step_s
@@ -116,7 +118,7 @@ class Planner(BoundBehaviour):
         )
         waits = apart < vehicle.footprint_radius_m + self._actor_radius_m + 1.0
         self._plan(state, group, begins | self._recovery.update(poses, waits, vehicle.length_m, step_s))
-        return (
+        return Situation(
             poses, twists, self._grids, self._fields, self._waypoints, self._clearances, actors,
             self._predict(actors), group.goal.position_w,
             window_vehicle(vehicle, self._margin_m, self._speed_mps), RESPONSE, self._recovery.recovering,
@@ -136,12 +138,9 @@ class Planner(BoundBehaviour):
             return
         worlds = state.ground
         assert isinstance(worlds, BatchedWorlds)
-        vehicle = self.context.vehicle
-        radius, narrowest = vehicle.footprint_radius_m, vehicle.width_m / 2 + _SIDE_ROOM_M
         for row in new.tolist():
             world, start = worlds.worlds[row // group.count], group.motion.position_w[row, :2]
-            settings = radius, self._max_slope_deg, narrowest
-            known, routes = plan_routes(world, settings, goals[row], start, self._recovery.blocked[row])
+            known, routes = self._routes(world, goals[row], start, self._recovery.blocked[row])
             size = routes.cost.size
             missing = size - self._fields.shape[1]
             if missing > 0:
@@ -153,6 +152,15 @@ class Planner(BoundBehaviour):
             self._waypoints[row, :size] = routes.waypoint.ravel()
             self._clearances[row, :size] = routes.clearance.ravel()
         self._goals_w = goals.copy()
+
+    @property
+    def _map_settings(self) -> tuple[float, ...]:
+        vehicle = self.context.vehicle
+        return vehicle.footprint_radius_m, self._max_slope_deg, vehicle.width_m / 2 + _SIDE_ROOM_M
+
+    def _routes(self, world: World, goal: Array, start: Array, blocked: Any) -> tuple[RouteMap, Routes]:
+        """The map of a world around the way from `start` to `goal` (2,) [m], and the routes on it."""
+        return plan_routes(world, self._map_settings, goal, start, blocked)
 
 
 class ActorMotion:

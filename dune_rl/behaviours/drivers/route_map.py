@@ -1,5 +1,6 @@
 """Global planning: Dijkstra's algorithm on a grid of the true slopes and obstacles of a world."""
 
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from dune_rl.worlds.world import World
 _FINEST_M, _CELL_M = 0.1, 0.2
 _MOST_CELLS, _MOST_COARSE_CELLS = 100_000, 160_000
 # A map reaches so far beyond start and goal, or by their distance; its sides lie on multiples of a raster.
-_MARGIN_M, _RASTER_M = 8.0, 4.0
+MARGIN_M, _RASTER_M = 8.0, 4.0
 # Maps of windows that are kept with a world: each takes some 20 MB.
 _KEPT_MAPS = 2
 _EDGE_M = 0.5
@@ -84,17 +85,18 @@ class RouteMap:
         apart = np.inf
         if space.steep.any():
             apart = distance_transform_edt(~space.steep, sampling=self.cell_m)
-        self._beside_steep = _STEEP_ROOM * footprint_radius_m + np.asarray(apart, np.float32)
+        beside_steep = _STEEP_ROOM * footprint_radius_m + np.asarray(apart, np.float32)
+        # Of obstacles and, as in `Routes`, of steep ground.
+        self.room: Floats = np.minimum(self.clearance, beside_steep).astype(np.float32)
         slope = world.terrain.slope(np.stack(np.meshgrid(self.x, self.y), axis=-1))
         near = np.clip(1.0 - (space.clearance - footprint_radius_m) / _NEAR_M, 0.0, 1.0)
         spare_m = max(footprint_radius_m - narrowest, 1e-9)
         tight = np.clip((footprint_radius_m - space.clearance) / spare_m, 0, 1)
         steepness = slope / np.deg2rad(max_slope_deg)
         self.cost: Array = 1.0 + _SLOPE_COST * steepness**2 + _NEAR_COST * near * near + _TIGHT_COST * tight
-        self._graph = self._edges()
-        self._off_m, self._nearest = self._nearest_traversable()
 
-    def _edges(self) -> csr_matrix:
+    @cached_property
+    def _graph(self) -> csr_matrix:
         """Costs between neighbouring traversable cells, both ways."""
         rows, columns = self.traversable.shape
         number = np.arange(rows * columns).reshape(rows, columns)
@@ -122,6 +124,7 @@ class RouteMap:
         pairs = np.concatenate([one, other]), np.concatenate([other, one])
         return csr_matrix((np.concatenate([cost, cost]), pairs), shape=(number.size, number.size))
 
+    @cached_property
     def _nearest_traversable(self) -> tuple[Array, NDArray[np.int64]]:
         """Distance [m] of each cell from the nearest traversable one, and that cell's number."""
         if not self.traversable.any():
@@ -158,8 +161,9 @@ class RouteMap:
             starts = np.repeat(cells, np.diff(graph.indptr))
             lengths = np.where(starts | cells[graph.indices], np.inf, graph.data)
             graph = csr_matrix((lengths, graph.indices, graph.indptr), shape=graph.shape)
-        source = int(self._nearest[self.cell_number(goal)])
-        begin = int(self._nearest[self.cell_number(start)])
+        off_m, nearest = self._nearest_traversable
+        source = int(nearest[self.cell_number(goal)])
+        begin = int(nearest[self.cell_number(start)])
         limit = _REACH * (float(np.hypot(*(goal - start))) + 3.0)
         found, before = dijkstra(graph, indices=source, limit=limit, return_predecessors=True)
         if not np.isfinite(found[begin]):
@@ -168,12 +172,12 @@ class RouteMap:
         for _ in range(round(np.log2(_WAYPOINT_M / self.cell_m))):
             waypoint = waypoint[waypoint]
         shape = self.traversable.shape
-        cost = found[self._nearest].reshape(shape) + _OFF_COST * self._off_m
+        cost = found[nearest].reshape(shape) + _OFF_COST * off_m
         straight = np.hypot(self.x - goal[0], self.y[:, None] - goal[1])
         return Routes(
             np.where(np.isfinite(cost), cost, _NO_ROUTE_COST + straight).astype(np.float32),
-            waypoint[self._nearest].astype(np.int32).reshape(shape),
-            np.minimum(clearance, self._beside_steep).astype(np.float32),
+            waypoint[nearest].astype(np.int32).reshape(shape),
+            np.minimum(clearance, self.room),
         )
 
 
@@ -194,7 +198,7 @@ def plan_routes(
     has at most 1,000 m², larger beyond.
     """
     apart_m = float(np.hypot(*(goal_xy - start_xy)))
-    margin_m, least = max(_MARGIN_M, apart_m), np.inf
+    margin_m, least = max(MARGIN_M, apart_m), np.inf
     while True:
         window = _window_around(world.extent, goal_xy, start_xy, margin_m)
         known = shared_route_map(world, settings, window)
@@ -205,6 +209,11 @@ def plan_routes(
         if cost <= _shortest_way_out(world.extent, window, goal_xy, start_xy):
             return found
         margin_m *= 3.0
+
+
+def map_around(world: World, settings: tuple[float, ...], goal_xy: Array, start_xy: Array) -> RouteMap:
+    """The shared map of the smallest window around a start and a goal (2,), where cells are the finest."""
+    return shared_route_map(world, settings, _window_around(world.extent, goal_xy, start_xy, MARGIN_M))
 
 
 def _window_around(extent: Window, goal: Array, start: Array, margin_m: float) -> Window:

@@ -127,6 +127,7 @@ class EpisodeView:
 # Sensors that built-in policies read, where these are not `goal` alone; None: keep all that are configured.
 SENSORS_OF_POLICIES: dict[str, tuple[str, ...] | None] = {
     "dwa": None,
+    "dwa_oracle": None,
     "mppi": ("lidar", "goal", "velocity"),
     "oracle": (),
     "planner": (),

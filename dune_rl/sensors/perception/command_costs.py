@@ -15,6 +15,7 @@ from dune_rl.sensors.lidar import beam_angles
 from dune_rl.sensors.perception.dynamic_window import (
     RESPONSE,
     STEPS,
+    Situation,
     predict_actors,
     score_commands,
     window_vehicle,
@@ -66,7 +67,8 @@ class CommandCostsConf(SensorSettings):
 class CommandCosts(VectorSensor):
     """The reading `name`, (N, C) [m of level way]: the cost of each command above that of the cheapest.
 
-    The commands are those of `command_grid`, speed after speed. The look ahead takes place when it is read.
+    The commands are those of `command_grid`, speed after speed: `actions` (C, 2: speed [m/s], relative
+    heading [rad]). The look ahead takes place when it is read.
     """
 
     def __init__(self, name: str, context: SensorContext, conf: CommandCostsConf) -> None:
@@ -76,13 +78,13 @@ class CommandCosts(VectorSensor):
         way = context.sensor_of(conf.way_left)
         if not isinstance(way, WayLeft):
             raise ConfigError(f"sensors.{name}.way_left must be the name of a sensor way_left")
-        commands = command_grid(conf.commands, vehicle.min_speed_mps, vehicle.max_speed_mps)
-        size = len(commands)
+        self.actions = command_grid(conf.commands, vehicle.min_speed_mps, vehicle.max_speed_mps)
+        size = len(self.actions)
         super().__init__(name, context.num_rows, np.zeros(size), np.full(size, conf.max_cost))
         self._cap, self._way, self._tracks = conf.max_cost, way, way.tracks
         self._velocity = context.reading_of("velocity")
         self._bearings = np.ascontiguousarray(beam_angles(self._tracks.lidar))
-        self._commands = np.column_stack([commands[:, 0], vehicle.yaw_rates(commands[:, 1])])
+        self._commands = np.column_stack([self.actions[:, 0], vehicle.yaw_rates(self.actions[:, 1])])
         gap_error = conf.gap_error_m, conf.gap_error_growth_mps
         self._limits = window_vehicle(vehicle, _MARGIN_M, gap_error=gap_error)
         self._recovery = StuckRecovery(context.num_rows)
@@ -116,11 +118,26 @@ class CommandCosts(VectorSensor):
     def read(self) -> dict[str, Reading]:
         """The latest reading."""
         if self._is_due:
-            self._look_ahead()
+            self._situation = self._look_around()
+            costs = self.costs_in(self._situation)
+            self._likely = costs.argmin(axis=1)
+            self._store(costs - costs.min(axis=1, keepdims=True))
             self._is_due = False
         return super().read()
 
-    def _look_ahead(self) -> None:
+    @property
+    def situation(self) -> Situation:
+        """What the latest reading takes for true, in the frame of the odometry."""
+        self.read()
+        return self._situation
+
+    def costs_in(self, situation: Situation) -> Array:
+        """Costs (N, C) of the commands in another situation; one that is the cap above the least is inf."""
+        costs = np.zeros((len(situation.poses), len(self._commands)))
+        score_commands(*situation, self._commands, self._likely, self._cap, costs)
+        return costs
+
+    def _look_around(self) -> Situation:
         tracks, way = self._tracks, self._way
         tracker, low = tracks.tracker, way.low_obstacles
         poses = tracker.poses.copy()
@@ -137,15 +154,11 @@ class CommandCosts(VectorSensor):
         movers = self._movers(poses)
         ahead = np.empty((num, STEPS, movers.shape[1], 2))
         predict_actors(movers, ahead)
-        costs = np.zeros((num, len(self._commands)))
         twists = np.ascontiguousarray(self._velocity()[:, :2], np.float64)
-        arguments = (
+        return Situation(
             poses, twists, self._grids, self._fields, self._waypoints, self._clearances, movers, ahead,
             goals, self._limits, RESPONSE, self._recovery.recovering,
         )  # fmt: skip
-        score_commands(*arguments, self._commands, self._likely, self._cap, costs)
-        self._likely = costs.argmin(axis=1)
-        self._store(costs - costs.min(axis=1, keepdims=True))
 
     def _movers(self, poses: Array) -> Array:
         """What moves, in the frame of the odometry, as `predict_actors` takes it."""

@@ -9,10 +9,11 @@ first cell's centre, cells per metre, number of rows, number of columns), its va
 """
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.geometry.compiled import compile_function
 from dune_rl.geometry.planar import length
 from dune_rl.state.unicycle import Unicycle
@@ -50,6 +51,23 @@ _TURN_COST = 0.05
 # Facing away from the route is worth twice this.
 _FACING_M = 0.7
 _ARRIVED_M = 0.3
+
+
+class Situation(NamedTuple):
+    """What the loops read of N rows, in one frame: their first arguments, as `choose_commands` has them."""
+
+    poses: Array
+    twists: Array
+    grids: Array
+    fields: Floats
+    waypoints: Any
+    clearances: Floats
+    actors: Array
+    places: Array
+    goals: Array
+    vehicle: tuple[float, ...]
+    response: tuple[float, float]
+    recovering: Flags
 
 
 def window_vehicle(

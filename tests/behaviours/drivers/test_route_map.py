@@ -17,8 +17,8 @@ WINDOW = (-4.0, 4.0, -4.0, 4.0)
 
 def route_of(routes: RouteMap, start_xy, goal_xy) -> np.ndarray:
     """Centres (P, 2) [m] of the cells of the cheapest route; empty without any."""
-    source = int(routes._nearest[routes.cell_number(goal_xy)])
-    cell = int(routes._nearest[routes.cell_number(start_xy)])
+    _, nearest = routes._nearest_traversable
+    source, cell = int(nearest[routes.cell_number(goal_xy)]), int(nearest[routes.cell_number(start_xy)])
     found, previous = dijkstra(routes._graph, indices=source, return_predecessors=True)
     if not np.isfinite(found[cell]):
         return np.zeros((0, 2))
