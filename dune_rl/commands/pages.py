@@ -110,7 +110,7 @@ PAGES: Mapping[str, HelpPage] = {
         ),
         (
             ("checkpoint=PATH", "a run's folder, or a file of weights; [A,B] are several"),
-            ("policy=NAME", "go_to_goal, planner, oracle, dwa, mppi, ..., FILE.onnx or MODULE:FUNCTION"),
+            ("policy=NAME", "a built-in one (go_to_goal, planner, dwa, ...), FILE.onnx or MODULE:FUNCTION"),
             ("against=NAME", "likewise, to compare with in pairs"),
             ("set=NAME", "an episode set: python -m dune_rl.episode_sets list"),
             ("episodes=N", "how many to run"),
@@ -186,7 +186,7 @@ PAGES: Mapping[str, HelpPage] = {
         (
             ("view=NAME", "sheet, video, both, orbit or map"),
             ("checkpoint=PATH", "folder of a run, or file of weights, of the policy"),
-            ("policy=NAME", "go_to_goal, planner, oracle, dwa, mppi, ..., instead of a checkpoint"),
+            ("policy=NAME", "a built-in one (go_to_goal, planner, dwa, ...) instead of a checkpoint"),
             ("agent=NAME", "agent to follow, such as rover_1; default: the first"),
             ("seed=N", "seed of the episode"),
             ("set=NAME episode=N", "an episode of a set, by its number there"),

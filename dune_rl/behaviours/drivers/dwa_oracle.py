@@ -14,10 +14,13 @@ from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.compiled import compile_function
 from dune_rl.sensors.perception.dynamic_window import Situation, interpolate_grid
 from dune_rl.state.state import GroupState, State
+from dune_rl.worlds.batched_worlds import BatchedWorlds
 from dune_rl.worlds.world import World
 
 # A look ahead comes less far [m].
 _NEAR_EDGE_M = 0.5 * MARGIN_M
+# An edge of a map this near to the world's is the world's [m].
+_WORLDS_EDGE_M = 1.0
 
 _SENSOR = Annotated[str, Field(description="name of the sensor command_costs")]
 
@@ -25,9 +28,9 @@ _SENSOR = Annotated[str, Field(description="name of the sensor command_costs")]
 class DwaOracle(Oracle):
     """Drives N bodies as `Dwa`, with the true obstacles and the true future of actors in place of readings.
 
-    It is privileged, but for the way, which is over what the robot has seen: as a teacher it differs from
-    what a policy with `learning.prior` begins with by those dangers alone that its sensors misjudge. The
-    labels of `Oracle` also differ by ways that the robot cannot know.
+    It is privileged, but for the way, which is over what the robot has seen. As a teacher it differs from
+    what a policy with `learning.prior` begins with by dangers alone: misjudged ones, hidden ones, steep
+    ground, and those to come, of which it knows the gaps exactly. `Oracle` also knows the true ways.
     """
 
     reads_sensors = True
@@ -43,7 +46,7 @@ class DwaOracle(Oracle):
 
     def act(self, state: State, group: GroupState) -> Array:
         """Actions (N, 2): speed [m/s] and relative heading [rad]."""
-        costs = self._costs.costs_in(self._situation(state, group))
+        costs = self._costs.costs_in(self._situation(state, group), np.inf)
         found: Array = self._costs.actions[costs.argmin(axis=1)]
         return found
 
@@ -58,7 +61,7 @@ class DwaOracle(Oracle):
                 f"dwa_oracle knows the costs of the commands of sensors.{self._sensor} alone; give "
                 "learning.commands the same numbers"
             )
-        costs = self._costs.costs_in(self._situation(state, group))
+        costs = self._costs.costs_in(self._situation(state, group), cap)
         return np.minimum(costs - costs.min(axis=1, keepdims=True), cap)
 
     def record_actions(self, actions: Array) -> None:
@@ -82,12 +85,16 @@ class DwaOracle(Oracle):
         )
 
     def _plan(self, state: State, group: GroupState, anew: Flags) -> None:
-        """Take a map where a goal is new, or a body has come near the edge of the map that it has."""
-        first, cells = self._grids[:, :2], self._grids[:, [4, 3]]
+        """Take a map where a goal is new, or a body has come near an edge of its map within the world."""
+        worlds = state.ground
+        assert isinstance(worlds, BatchedWorlds)
+        extents = np.array([worlds.worlds[row // group.count].extent for row in range(len(anew))])
+        first = self._grids[:, :2]
+        last = first + (self._grids[:, [4, 3]] - 1) / np.maximum(self._grids[:, 2:3], 1e-9)
         place = group.motion.position_w[:, :2]
-        last = first + (cells - 1) / np.maximum(self._grids[:, 2:3], 1e-9)
-        leaves = ((place < first + _NEAR_EDGE_M) | (place > last - _NEAR_EDGE_M)).any(axis=1)
-        super()._plan(state, group, anew | leaves)
+        low = (place < first + _NEAR_EDGE_M) & (first > extents[:, [0, 2]] + _WORLDS_EDGE_M)
+        high = (place > last - _NEAR_EDGE_M) & (last < extents[:, [1, 3]] - _WORLDS_EDGE_M)
+        super()._plan(state, group, anew | (low | high).any(axis=1))
 
     def _routes(self, world: World, goal: Array, start: Array, blocked: Any) -> tuple[RouteMap, Routes]:
         """The distances of obstacles on the map of a way, and no routes: the way is the sensor's."""

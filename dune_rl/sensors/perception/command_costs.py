@@ -119,7 +119,7 @@ class CommandCosts(VectorSensor):
         """The latest reading."""
         if self._is_due:
             self._situation = self._look_around()
-            costs = self.costs_in(self._situation)
+            costs = self.costs_in(self._situation, self._cap)
             self._likely = costs.argmin(axis=1)
             self._store(costs - costs.min(axis=1, keepdims=True))
             self._is_due = False
@@ -131,10 +131,10 @@ class CommandCosts(VectorSensor):
         self.read()
         return self._situation
 
-    def costs_in(self, situation: Situation) -> Array:
-        """Costs (N, C) of the commands in another situation; one that is the cap above the least is inf."""
+    def costs_in(self, situation: Situation, cap: float) -> Array:
+        """Costs (N, C) of the commands in a situation; one that is `cap` above the least is inf."""
         costs = np.zeros((len(situation.poses), len(self._commands)))
-        score_commands(*situation, self._commands, self._likely, self._cap, costs)
+        score_commands(*situation, self._commands, self._likely, cap, costs)
         return costs
 
     def _look_around(self) -> Situation:
