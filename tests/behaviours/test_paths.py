@@ -84,6 +84,19 @@ def test_random_paths_keep_clear_of_obstacles():
     assert min(distance_to_boxes(path[:, :2]).min() for path in without) == 0.0
 
 
+def test_random_paths_go_on_to_draw_until_the_first_fits():
+    draws = []
+
+    def crowded(rng, n, radius_m):
+        draws.append(n)
+        # Only one point for a long time, from which no path leads.
+        return np.zeros((n, 2)) if len(draws) <= 1_000 else points_anywhere(rng, n, radius_m)
+
+    paths = random_paths(yard(), crowded, np.random.default_rng(3), 5, 0.5, (6.0, 12.0))
+    assert 1_000 < len(draws) <= 1_100
+    assert 1 <= len(paths) <= 5
+
+
 def test_random_paths_depend_on_the_generator_alone():
     world = yard(*BOXES)
     first, again, other = (

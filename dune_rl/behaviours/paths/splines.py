@@ -14,7 +14,8 @@ from dune_rl.geometry.heightfield import HeightField
 from dune_rl.worlds.world import World
 
 SPACING_M = 0.05
-_CANDIDATES = 200
+# So often points are drawn for all paths, and for a first one.
+_DRAWS, _MOST_DRAWS = 200, 2_000
 _LOOKS = 25
 
 
@@ -149,7 +150,7 @@ def random_paths(
     """
     shortest, longest = length_range_m
     found: list[Array] = []
-    for _ in range(_CANDIDATES):
+    for draw in range(_MOST_DRAWS):
         points = sample_points(rng, 3 * count, radius_m).reshape(count, 3, 2)
         legs = np.hypot(*np.moveaxis(np.diff(points, axis=1), -1, 0))
         fitting = (legs.sum(axis=1) > shortest) & (legs.sum(axis=1) < longest) & (legs.min(axis=1) > 1.0)
@@ -162,8 +163,8 @@ def random_paths(
                 found.append(path)
                 if len(found) == count:
                     return found
-    if found:
-        return found
+        if found and draw + 1 >= _DRAWS:
+            return found
     raise WorldError(
         f"no path of {shortest:g} to {longest:g} m for an actor of radius {radius_m:g} m fits {world.name}: "
         f"take actors=none, shorten {settings}.path.length_range_m, or enlarge task.spawn.region"
