@@ -84,17 +84,32 @@ def test_random_paths_keep_clear_of_obstacles():
     assert min(distance_to_boxes(path[:, :2]).min() for path in without) == 0.0
 
 
-def test_random_paths_go_on_to_draw_until_the_first_fits():
-    draws = []
+@pytest.mark.parametrize(("fits_in", "draws"), [(5, 200), (200, 200), (1_001, 1_001)])
+def test_random_paths_are_drawn_on_until_the_first_fits(fits_in, draws):
+    made = []
 
-    def crowded(rng, n, radius_m):
-        draws.append(n)
-        # Only one point for a long time, from which no path leads.
-        return np.zeros((n, 2)) if len(draws) <= 1_000 else points_anywhere(rng, n, radius_m)
+    def sample(rng, n, radius_m):
+        made.append(n)
+        # One way in one draw; else a single point, from which no path leads.
+        points = np.zeros((n // 3, 3, 2))
+        if len(made) == fits_in:
+            points[0] = [(-3.0, 0.0), (0.0, 0.5), (4.0, 0.0)]
+        return points.reshape(-1, 2)
 
-    paths = random_paths(yard(), crowded, np.random.default_rng(3), 5, 0.5, (6.0, 12.0))
-    assert 1_000 < len(draws) <= 1_100
-    assert 1 <= len(paths) <= 5
+    paths = random_paths(yard(), sample, np.random.default_rng(3), 5, 0.5, (6.0, 12.0))
+    assert (len(made), len(paths)) == (draws, 1)
+
+
+def test_random_paths_are_refused_after_many_draws_without_any():
+    made = []
+
+    def sample(rng, n, radius_m):
+        made.append(n)
+        return np.zeros((n, 2))
+
+    with pytest.raises(WorldError, match="no path of 6 to 12 m"):
+        random_paths(yard(), sample, np.random.default_rng(3), 5, 0.5, (6.0, 12.0))
+    assert len(made) == 2_000
 
 
 def test_random_paths_depend_on_the_generator_alone():

@@ -143,9 +143,9 @@ def random_paths(
     length_range_m: tuple[float, float],
     settings: str = "actors.walker",
 ) -> list[Array]:
-    """`count` random paths, each (P, 4), that keep `radius_m` from every obstacle.
+    """Up to `count` random paths, each (P, 4), that keep `radius_m` from every obstacle.
 
-    Each runs through three free points drawn by `sample_points(rng, n, radius_m)`. Raises WorldError, which
+    These are found in 200 draws or, if none is, in the first of 2,000 that has any. Each runs through three free points drawn by `sample_points(rng, n, radius_m)`. Raises WorldError, which
     names the path of the group's `settings`, where obstacles leave no room for any.
     """
     shortest, longest = length_range_m
