@@ -145,8 +145,9 @@ def random_paths(
 ) -> list[Array]:
     """Up to `count` random paths, each (P, 4), that keep `radius_m` from every obstacle.
 
-    These are found in 200 draws or, if none is, in the first of 2,000 that has any. Each runs through three free points drawn by `sample_points(rng, n, radius_m)`. Raises WorldError, which
-    names the path of the group's `settings`, where obstacles leave no room for any.
+    These are found in 200 draws or, if none is, in the first of 2,000 that has any. Each runs through three
+    free points drawn by `sample_points(rng, n, radius_m)`. Raises WorldError, which names the path of the
+    group's `settings`, where obstacles leave no room for any.
     """
     shortest, longest = length_range_m
     found: list[Array] = []

@@ -83,8 +83,8 @@ class SetRecipe:
     `words` are those of the command line after the name, if it is not one of the package's sets. `seed` is
     that of everything that the episodes draw. With several `sites`, these have world seeds from `first_site`
     on, but for those `left_out`; one site is the world as its settings have it. Several world `files` are
-    the sites instead. `metrics` are terms that are measured beside those of an evaluation. Episodes begin at `start` (x, y, yaw) and end
-    at `goal` (x, y) [m, rad] where these are given.
+    the sites instead. `metrics` are terms that are measured beside those of an evaluation. Episodes begin at
+    `start` (x, y, yaw) and end at `goal` (x, y) [m, rad] where these are given.
     """
 
     name: str
