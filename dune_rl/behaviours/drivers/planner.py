@@ -124,9 +124,14 @@ class Planner(BoundBehaviour):
             window_vehicle(vehicle, self._margin_m, self._speed_mps), RESPONSE, self._recovery.recovering,
         )  # fmt: skip
 
+    @property
+    def _steps(self) -> int:
+        """How many steps ahead are simulated."""
+        return STEPS
+
     def _predict(self, actors: Array) -> Array:
         """Places (N, T, K, 2) of `actors` (N, K, 6) in the steps of the follower."""
-        places = np.empty((len(actors), STEPS, actors.shape[1], 2))
+        places = np.empty((len(actors), self._steps, actors.shape[1], 2))
         predict_actors(actors, places)
         return places
 

@@ -26,6 +26,7 @@ _SPEEDS = 9
 _REVERSE_SPEEDS = 4
 _YAW_RATES = 15
 STEP_S = 0.1
+# How far ahead is looked.
 STEPS = 25
 # A command turns for this long, and then goes on turning or straight on.
 _TURN_STEPS = 7
@@ -170,7 +171,7 @@ def _wait_cost(
     x: float, y: float, yaw: float, since: int, maps: Any, places: Any, actors: Any, vehicle: Any
 ) -> float:
     """Cost of standing at a pose from a step on: actors may come."""
-    for step in range(since, STEPS):
+    for step in range(since, len(places)):
         _, moving = _gaps(x, y, yaw, maps[0], maps[3], places[step], actors, vehicle)
         if moving <= 0.0:
             cost: float = _HIT_COST * np.exp(-(step + 1) * STEP_S / _HIT_DECAY_S)
@@ -179,9 +180,9 @@ def _wait_cost(
 
 
 @compile_function
-def _reach(twist: Any, vehicle: Any) -> float:
-    """The farthest [m] that a vehicle comes within the look ahead."""
-    result: float = STEPS * STEP_S * max(-vehicle[0], vehicle[1], abs(twist[0]))
+def _reach(twist: Any, vehicle: Any, steps: int) -> float:
+    """The farthest [m] that a vehicle comes within a look ahead of `steps`."""
+    result: float = steps * STEP_S * max(-vehicle[0], vehicle[1], abs(twist[0]))
     return result
 
 
@@ -208,11 +209,11 @@ def _least_left(pose: Any, goal: Any, grid: Any, field: Any, reach: float) -> fl
 def _in_reach(pose: Any, actors: Any, places: Any, vehicle: Any, reach: float) -> Any:
     """The `actors` (K, 6) and `places` (T, K, 2) that a look ahead `reach` [m] far may come near to."""
     around = max(vehicle[6], vehicle[4] + vehicle[5])
-    near = max(_NEAR_ACTOR_M, _LIKELY * (vehicle[8] + vehicle[9] * STEPS * STEP_S))
+    near = max(_NEAR_ACTOR_M, _LIKELY * (vehicle[8] + vehicle[9] * len(places) * STEP_S))
     numbers, count = np.empty(len(actors), np.int64), 0
     for number in range(len(actors)):
         limit = reach + around + near + actors[number, 5] + _ROUNDING_M
-        for step in range(STEPS):
+        for step in range(len(places)):
             if length(places[step, number, 0] - pose[0], places[step, number, 1] - pose[1]) < limit:
                 numbers[count] = number
                 count += 1
@@ -225,7 +226,8 @@ def _command_cost(
     pose: Any, twist: Any, command: Any, maps: Any, places: Any, actors: Any, goal: Any, vehicle: Any,
     response: Any, recovers: bool, least_left: float, best: float,
 ) -> float:  # fmt: skip
-    """Cost of a command (speed, yaw rate, yaw rate after 0.7 s) for 2.5 s; inf where it exceeds `best`.
+    """Cost of a command (speed, yaw rate, yaw rate after 0.7 s) for the T steps of `places` (T, K, 2); inf where
+    it exceeds `best`.
 
     At least `least_left` is left at the end, unless it `recovers`.
 
@@ -239,7 +241,7 @@ def _command_cost(
     static_limit = static - _DEEPER_M if static <= 0.0 else 0.0
     moving_limit = moving - _DEEPER_M if moving <= 0.0 else 0.0
     near, travelled, risk = 0.0, 0.0, 0.0
-    for step in range(STEPS):
+    for step in range(len(places)):
         wanted_turn = command[1] if step < _TURN_STEPS else command[2]
         change, turn_change = response[0] * STEP_S, response[1] * STEP_S
         speed += min(max(command[0] - speed, -change), change)
@@ -304,7 +306,7 @@ def choose_commands(
     for row in range(len(poses)):
         best = np.inf
         maps = grids[row], fields[row], waypoints[row], clearances[row]
-        reach = _reach(twists[row], vehicle)
+        reach = _reach(twists[row], vehicle, places.shape[1])
         least_left = _least_left(poses[row], goals[row], grids[row], fields[row], reach)
         near_actors, near_places = _in_reach(poses[row], actors[row], places[row], vehicle, reach)
         for speed_number in range(-_REVERSE_SPEEDS, _SPEEDS):
@@ -349,7 +351,7 @@ def score_commands(
     for row in range(len(poses)):
         best = np.inf
         maps = grids[row], fields[row], waypoints[row], clearances[row]
-        reach = _reach(twists[row], vehicle)
+        reach = _reach(twists[row], vehicle, places.shape[1])
         least_left = _least_left(poses[row], goals[row], grids[row], fields[row], reach)
         near_actors, near_places = _in_reach(poses[row], actors[row], places[row], vehicle, reach)
         for order in range(-1, len(commands)):

@@ -53,14 +53,20 @@ def test_forecasts_are_where_walkers_go(path: str) -> None:
 FORWARD, STOP = 0, 1
 
 
-def costs(driver: Planner, forecast: np.ndarray) -> np.ndarray:
-    """Costs of driving on, and of a stop, past a person who stands beside the way of a body at full speed."""
-    bodies = DrivenBodies(yard(), [0.0, 0.0, 0.0], [8.0, 0.0], [[1.8, -1.6, 0.0, 0.0]])
-    bodies.twists[:, 0] = 1.0
-    driver.bind(replace(bodies.context(), forecast=lambda step_s, steps: forecast[None, None, :steps]))
+def costs(
+    driver: Planner, forecast: np.ndarray, person: tuple[float, float] = (1.8, -1.6), speed_mps: float = 1.0
+) -> np.ndarray:
+    """Costs of driving on, and of a stop, of a body at full speed along x, whose highest that is; a person
+    stands beside its way, or elsewhere.
+    """
+    bodies = DrivenBodies(yard(), [0.0, 0.0, 0.0], [8.0, 0.0], [[*person, 0.0, 0.0]])
+    bodies.twists[:, 0] = speed_mps
+    context = bodies.context()
+    vehicle = replace(context.vehicle, max_speed_mps=speed_mps)
+    driver.bind(replace(context, vehicle=vehicle, forecast=lambda step_s, steps: forecast[None, None, :steps]))
     state, group = bodies.state()
     driver.reset(np.ones(1, bool), group)
-    found: np.ndarray = driver.action_costs(state, group, np.array([[1.0, 0.0], [0.0, 0.0]]), 8.0)[0]
+    found: np.ndarray = driver.action_costs(state, group, np.array([[speed_mps, 0.0], [0.0, 0.0]]), 8.0)[0]
     return found
 
 
@@ -71,3 +77,12 @@ def test_oracle_stops_before_who_will_step_into_its_way() -> None:
     # Nothing is known, or it is about somebody who is elsewhere: as the planner.
     for other in (np.full((25, 2), np.nan), steps_in + np.array([0.0, 5.0])):
         assert (costs(Oracle(1), other) == costs(Planner(1), other)).all()
+
+
+def test_slow_bodies_look_further_ahead() -> None:
+    # Somebody comes from behind, and is there after 3 s: too late for who looks 2.5 s ahead.
+    comes = np.column_stack([np.linspace(-3.6, 0.2, 40), np.zeros(40)])
+    behind = (-3.6, 0.0)
+    late, early = costs(Planner(1), comes, behind, 0.4), costs(Oracle(1), comes, behind, 0.4)
+    assert late.argmin() == early.argmin() == FORWARD
+    assert early[STOP] > late[STOP] + 1.0
