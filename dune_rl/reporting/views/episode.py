@@ -105,7 +105,7 @@ class EpisodeView:
         lines = [] if len(self.simulation.agents) == 1 else [self.agent]
         lines += [
             f"{steps / self.conf.physics.decision_hz:5.1f} s",
-            f"speed {state.motion.velocity_b[row, 0]:5.2f} m/s",
+            f"speed {state.motion.velocity_b[row, 0].round(2) + 0.0:5.2f} m/s",
         ]
         if self.group.task is not None:
             lines.append(f"goal {state.goal.distance[row]:6.2f} m")
