@@ -226,8 +226,8 @@ def _command_cost(
     pose: Any, twist: Any, command: Any, maps: Any, places: Any, actors: Any, goal: Any, vehicle: Any,
     response: Any, recovers: bool, least_left: float, best: float,
 ) -> float:  # fmt: skip
-    """Cost of a command (speed, yaw rate, yaw rate after 0.7 s) for the T steps of `places` (T, K, 2); inf where
-    it exceeds `best`.
+    """Cost of a command (speed, yaw rate, yaw rate after 0.7 s) for the T steps of `places` (T, K, 2); inf
+    where it exceeds `best`.
 
     At least `least_left` is left at the end, unless it `recovers`.
 

@@ -63,7 +63,8 @@ def costs(
     bodies.twists[:, 0] = speed_mps
     context = bodies.context()
     vehicle = replace(context.vehicle, max_speed_mps=speed_mps)
-    driver.bind(replace(context, vehicle=vehicle, forecast=lambda step_s, steps: forecast[None, None, :steps]))
+    known = replace(context, vehicle=vehicle, forecast=lambda step_s, steps: forecast[None, None, :steps])
+    driver.bind(known)
     state, group = bodies.state()
     driver.reset(np.ones(1, bool), group)
     found: np.ndarray = driver.action_costs(state, group, np.array([[speed_mps, 0.0], [0.0, 0.0]]), 8.0)[0]
