@@ -17,13 +17,13 @@ class Oracle(Planner):
     """As `Planner`, and knows where actors on paths and trajectories will be, whatever holds them up.
 
     As a teacher it labels commands with what they will cost, of which a policy learns the mean over all that
-    it cannot tell apart. All other actors are predicted as by `Planner`. Bodies slower than 0.64 m/s look
-    further ahead than 2.5 s.
+    it cannot tell apart. All other actors are predicted as by `Planner`. Where the top speed is below
+    0.64 m/s, it looks further ahead than 2.5 s, at most 5 s.
     """
 
     @property
     def _steps(self) -> int:
-        ahead_s = _AHEAD_M / self.context.vehicle.max_speed_mps
+        ahead_s = _AHEAD_M / min(self.context.vehicle.max_speed_mps, self._speed_mps)
         return max(STEPS, round(min(ahead_s, _LONGEST_AHEAD_S) / STEP_S))
 
     def _predict(self, actors: Array) -> Array:

@@ -26,7 +26,7 @@ _SPEEDS = 9
 _REVERSE_SPEEDS = 4
 _YAW_RATES = 15
 STEP_S = 0.1
-# How far ahead is looked.
+# Of a look ahead of 2.5 s; drivers may look further.
 STEPS = 25
 # A command turns for this long, and then goes on turning or straight on.
 _TURN_STEPS = 7
