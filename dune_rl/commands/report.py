@@ -72,7 +72,7 @@ def run(words: Sequence[str]) -> None:
 
 
 def _rewrite(file: Path, console: "Console") -> None:
-    from dune_rl.reporting.markdown import rewrite_file
+    from dune_rl.reporting.markdown.file import rewrite_file
 
     rewritten = rewrite_file(file)
     _print_notes(rewritten.skipped, rewritten.notes)

@@ -1,5 +1,6 @@
 """Tables in Markdown files: those of this repository are what the command makes of its committed files."""
 
+import math
 import sys
 from pathlib import Path
 
@@ -9,7 +10,7 @@ from report_runs import episode_rows, write_evaluation
 
 from dune_rl import report
 from dune_rl.core.errors import ConfigError
-from dune_rl.reporting.markdown import rewrite_file, rewrite_text
+from dune_rl.reporting.markdown.file import rewrite_file, rewrite_text
 
 FILES = sorted(
     file
@@ -52,6 +53,49 @@ def test_a_block_is_rewritten_and_the_rest_stays(file: Path) -> None:
     rewrite_file(file)
     # What is right already is left alone.
     assert file.stat().st_mtime_ns == written
+
+
+def write_runs(folder: Path, protocol: str, measures: dict[str, tuple[float, float, float]]) -> None:
+    """An evaluation by a protocol, as far as its summary is concerned."""
+    folder.mkdir()
+    (folder / "config.yaml").write_text(f"protocol: {protocol}\n")
+    lines = [f"x,rover,{name},{value},{low},{high},10,10," for name, (value, low, high) in measures.items()]
+    header = "policy,group,measure,value,low,high,count,units,note"
+    (folder / "summary.csv").write_text("\n".join([header, *lines]) + "\n")
+
+
+def test_protocols_stand_side_by_side_beside_table_3(file: Path) -> None:
+    here = {"SR/run": (0.9, 0.8, 0.95), "TC/run": (7.0, 5.0, 9.0), "SR": (0.5, 0.4, 0.6)}
+    write_runs(file.parent / "ours", "paper", here)
+    write_runs(
+        file.parent / "code", "dune_code", {"code SR": (1.0, math.nan, math.nan), "SR/run": here["SR"]}
+    )
+    begin = "<!-- report: protocols\nworld: inspection\nmeasures: [SR, TC]\n"
+    block = f"{begin}columns: {{by the paper: ours, by its code: code}}\n-->\n"
+    file.write_text(block + END)
+    rewrite_file(file)
+    lines = (
+        "|  | by the paper | by its code | DUnE paper |",
+        "|---|---:|---:|---:|",
+        "| SR | 90.0 % (80.0 to 95.0) | 100.0 % | 75 % |",
+        "| TC | 7.00 (5.00 to 9.00) |  | 52 |",
+    )
+    assert file.read_text() == block + "".join(f"{line}\n" for line in lines) + END
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ("columns: {X: a}\nmeasures: [SR]", "a is no evaluation with protocol=paper or protocol=dune_code"),
+        ("columns: {X: runs}\nmeasures: [OC]", "no folder has the measure OC"),
+        ("columns: {X: runs}\nmeasures: [SR]\nworld: rubicon", "has no rubicon; it has flat, inspection"),
+    ],
+)
+def test_wrong_protocols_are_named(file: Path, settings: str, message: str) -> None:
+    write_runs(file.parent / "runs", "paper", {"SR/run": (0.9, 0.8, 0.95)})
+    file.write_text(f"<!-- report: protocols\n{settings}\n-->\n{END}")
+    with pytest.raises(ConfigError, match=message):
+        rewrite_file(file)
 
 
 def test_a_grid_has_a_row_for_each_set(file: Path) -> None:

@@ -1,0 +1,1 @@
+"""Blocks of Markdown files that are made from files of results."""

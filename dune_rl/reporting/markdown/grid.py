@@ -1,0 +1,96 @@
+"""The block `grid`: one measure of several methods on several sets."""
+
+import math
+from collections.abc import Mapping
+
+from pydantic import Field
+
+from dune_rl.core.errors import ConfigError
+from dune_rl.core.settings import Settings
+from dune_rl.metrics.catalogue import NOTHING, equation_of_p, format_difference, measure_of
+from dune_rl.reporting.comparison import EvaluatedPolicy, compare_methods, estimate_of, estimate_rows
+from dune_rl.reporting.markdown.sources import BlockSources, SourceConf, markdown_table, percent_of
+from dune_rl.reporting.tables.table import estimate_cell
+from dune_rl.statistics.paired_comparison import PairedComparison, holm_adjusted
+
+_MISSING = "not run"
+
+
+class GridConf(Settings):
+    """One `measure` of several methods on several sets, or among several populations.
+
+    `rows` are titles, such as names of sets or of policies. `columns` are the sources of the cells by their
+    titles; in the folder and in the policy of each, `{row}` stands for the title of the row. Where that
+    folder is missing, the cell says so.
+    `differences` are further columns by their titles: the first minus the second of two columns on the same
+    episodes, with its interval and p-value, adjusted by Holm's method over the rows.
+    """
+
+    measure: str
+    rows: tuple[str, ...] = Field(min_length=1)
+    columns: dict[str, SourceConf] = Field(min_length=1)
+    differences: dict[str, tuple[str, str]] = Field(default_factory=dict)
+    decimals: int | None = Field(default=None, ge=0, le=6)
+    corner: str = "set"
+
+
+def make_grid(conf: GridConf, sources: BlockSources) -> str:
+    """The Markdown of the table.
+
+    Raises ConfigError where a folder is there without the method or the measure, or where none is there, and
+    where a difference is of columns that are not there or of other episodes.
+    """
+    found: dict[str, dict[str, EvaluatedPolicy]] = {row: {} for row in conf.rows}
+    for row, methods in found.items():
+        for title, source in conf.columns.items():
+            told = SourceConf(**{key: text.replace("{row}", row) for key, text in source if text is not None})
+            if (sources.beside / told.folder).exists():
+                methods[title] = sources.find_method(told)
+    if not any(found.values()):
+        raise ConfigError("the grid has no folder that is there")
+    differences = [_differences(title, found, conf) for title in conf.differences]
+    lines = [
+        [
+            row,
+            *(_grid_cell(methods.get(title), conf) for title in conf.columns),
+            *(texts.get(row, _MISSING) for texts in differences),
+        ]
+        for row, methods in found.items()
+    ]
+    return markdown_table([[conf.corner, *conf.columns, *conf.differences], *lines])
+
+
+def _grid_cell(method: EvaluatedPolicy | None, conf: GridConf) -> str:
+    if method is None:
+        return _MISSING
+    found = estimate_of(conf.measure, str(method.runs[0].path), method.rows, estimate_rows(method.rows))
+    unit = percent_of(conf.measure)
+    return estimate_cell(measure_of(conf.measure), found, unit=unit, decimals=conf.decimals).plain
+
+
+def _differences(
+    title: str, found: Mapping[str, Mapping[str, EvaluatedPolicy]], conf: GridConf
+) -> dict[str, str]:
+    """The text of a column of differences, by row, where both methods are there."""
+    columns = conf.differences[title]
+    unknown = [column for column in columns if column not in conf.columns]
+    if unknown:
+        raise ConfigError(f"differences: {title}: there is no column {unknown[0]}")
+    pairs: dict[str, PairedComparison] = {}
+    for row, methods in found.items():
+        if methods.keys() >= {*columns}:
+            try:
+                both = {column: methods[column] for column in columns}
+                (pairs[row],) = compare_methods(both, measure_of(conf.measure))
+            except ValueError as error:
+                raise ConfigError(f"differences: {title}: {row}: {error}") from None
+    adjusted = holm_adjusted([pair.p_value for pair in pairs.values()])
+    return {row: _difference(pairs[row], p, conf) for row, p in zip(pairs, adjusted, strict=True)}
+
+
+def _difference(pair: PairedComparison, adjusted_p: float, conf: GridConf) -> str:
+    ends = (pair.difference.value, pair.difference.low, pair.difference.high)
+    value, low, high = (format_difference(pair.measure, end, conf.decimals) for end in ends)
+    interval = "" if NOTHING in (low, high) else f" ({low} to {high})"
+    p_value = f", {equation_of_p(adjusted_p, is_bound=pair.p_is_bound)}"
+    return f"{value}{interval}" + ("" if math.isnan(adjusted_p) else p_value)
