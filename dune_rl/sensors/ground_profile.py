@@ -56,7 +56,7 @@ class GroundProfile(VectorSensor):
     A ray that meets nothing reads the lower limit, as beyond an edge. Moving actors are seen.
 
     `points` (N, P, 3) are the hits [m], forward, left and up of the robot's ground in its level frame, and
-    `sees` (N, P) tells which rays have one; `pitch_sine` (N,) is the sine of the climb of the robot's axis.
+    `sees` (N, P) tells which rays have one; `up` (N, 3) is the robot's vertical axis in that frame.
     Where `drops` (N, P), there is no ground: a ray that points so steeply down meets nothing, also far below.
     Its point is where it would meet the level of the robot's ground.
     """
@@ -71,7 +71,7 @@ class GroundProfile(VectorSensor):
         self._mount_b = mount_position(conf.mount_b)
         self.points = np.zeros((context.num_rows, conf.rows * conf.columns, 3))
         self.sees, self.drops = np.zeros((2, *self.points.shape[:2]), bool)
-        self.pitch_sine = np.zeros(context.num_rows)
+        self.up = np.tile([0.0, 0.0, 1.0], (context.num_rows, 1))
         self._beams = Beams(
             fan(bearing, elevation).reshape(-1, 3),
             conf.mount_b,
@@ -93,7 +93,7 @@ class GroundProfile(VectorSensor):
         self.points = hits_b @ level
         self.points[..., 2] += conf.standing_height_m or 0.0
         self.sees = (ranges < np.float32(conf.range_m)) & ~self.drops
-        self.pitch_sine = known[:, 2, 0]
+        self.up = level[:, 2]
         self._store(np.where(self.sees, self.points[..., 2], -conf.limit_m))
 
 

@@ -153,8 +153,8 @@ def solve_ways(goal_x: float, goal_y: float, costs: Any, ways: Any, box: Any = (
     """
     left, right, low, high = box
     ways[:] = _FAR
-    # Cells whose neighbours have become nearer since they were last looked at.
-    is_due = np.zeros((CELLS, CELLS), np.bool_)
+    # Cells whose neighbours have become nearer since they were last looked at, and rows that may have some.
+    is_due, due_rows = np.zeros((CELLS, CELLS), np.bool_), np.ones(CELLS, np.bool_)
     column, row = np.int64(np.floor(goal_x)), np.int64(np.floor(goal_y))
     if 0 <= column < CELLS and 0 <= row < CELLS:
         ways[row, column] = 0.0
@@ -169,6 +169,9 @@ def solve_ways(goal_x: float, goal_y: float, costs: Any, ways: Any, box: Any = (
         for sweep in range(4):
             for i in range(high - low):
                 y = low + i if sweep < 2 else high - 1 - i
+                if not due_rows[y]:
+                    continue
+                due_rows[y] = False
                 for j in range(right - left):
                     x = left + j if sweep % 2 == 0 else right - 1 - j
                     if not is_due[y, x]:
@@ -187,6 +190,7 @@ def solve_ways(goal_x: float, goal_y: float, costs: Any, ways: Any, box: Any = (
                         changes = True
                         is_due[y, max(x - 1, 0)] = is_due[y, min(x + 1, CELLS - 1)] = True
                         is_due[max(y - 1, 0), x] = is_due[min(y + 1, CELLS - 1), x] = True
+                        due_rows[max(y - 1, 0) : y + 2] = True
         if not changes:
             break
 

@@ -30,9 +30,11 @@ _BUMP_M, _LEAST_CELLS, _LEVELLING = 0.045, 6.0, 1.0
 _DRIFT_M, _LEAST_HITS = 0.02, 12
 # A lower height takes the place of a higher one by this share in each look.
 _NEW_SHARE = 0.3
-# Hits this near to the range of a segment that moves are of what moves there.
+# Hits this near to what moves are on it.
 _MOVING_M = 0.5
 _NEAREST_M = 0.1
+# Of robots that lie on their side, the plane that they stand on is not known: the cosine of 60 degrees.
+_LEAST_UP = 0.5
 
 
 class LowObstaclesConf(SensorSettings):
@@ -53,8 +55,8 @@ class LowObstacles(VectorSensor):
 
     Steps are where the ground rises by more than 5 cm beyond a slope, or stands out of the plane around by
     4.5 cm: stones, bricks, kerbs, walls; and where the ground ends. Segments and distances are from the
-    LiDAR's mount. Heights are those of the rays' hits, by the robot's attitude and speed readings and by
-    ground that is seen again; what moves in the scan is left out, and a step fades where lower ground is
+    LiDAR's mount. Heights are those of the rays' hits, by the robot's attitude and odometry and by ground
+    that is seen again; hits on what moves are left out, and a step fades where lower ground is
     seen.
     """
 
@@ -67,23 +69,23 @@ class LowObstacles(VectorSensor):
         farthest = np.full(len(tracks.bearings), conf.range_m)
         super().__init__(name, context.num_rows, np.full_like(farthest, _NEAREST_M), farthest)
         self._profile, self._tracks = profile, tracks
-        self._velocity, self._step_s = context.reading_of("velocity"), context.step_s
         shape = (context.num_rows, _CELLS, _CELLS)
         # Heights in the frame of the odometry, which cell of the plane each is of, and where steps are.
         self._heights = np.zeros(shape, np.float32)
         self._places = np.full((*shape, 2), np.iinfo(np.int32).min, np.int32)
         self._steps = np.zeros(shape, bool)
-        self._climbed_m = np.zeros(context.num_rows)
+        self._climbed_m, self._places_before = np.zeros(context.num_rows), np.zeros((context.num_rows, 2))
 
     def begin(self, mask: Flags, now: GroupState, state: State) -> None:
         """Begin the maps of the agents in `mask` (N,) anew, with what is seen at the start."""
         self._places[mask] = np.iinfo(np.int32).min
         self._steps[mask] = False
         self._climbed_m[mask] = 0.0
+        self._places_before[mask] = self._tracks.tracker.poses[mask, :2]
         self._look(mask)
 
     def measure(self, now: GroupState, state: State) -> None:
-        self._climbed_m += self._velocity()[:, 0] * self._profile.pitch_sine * self._step_s
+        self._climb()
         self._look(np.ones(len(self._climbed_m), bool))
 
     @property
@@ -91,12 +93,20 @@ class LowObstacles(VectorSensor):
         """Where steps are (N, C, C), the cells in the odometry frame (N, C, C, 2), their width [m]."""
         return self._steps, self._places, _CELL_M
 
+    def _climb(self) -> None:
+        """Add what the robots have climbed since the last step, along the plane that they stand on."""
+        x, y, yaw = self._tracks.tracker.poses.T
+        moved, self._places_before = np.stack([x, y], axis=1) - self._places_before, np.stack([x, y], axis=1)
+        cos, sin, up = np.cos(yaw), np.sin(yaw), self._profile.up
+        ahead, left = cos * moved[:, 0] + sin * moved[:, 1], cos * moved[:, 1] - sin * moved[:, 0]
+        self._climbed_m -= (up[:, 0] * ahead + up[:, 1] * left) / np.maximum(up[:, 2], _LEAST_UP)
+
     def _look(self, mask: Flags) -> None:
         """Enter what the rays of the agents in `mask` (N,) meet; the others keep their maps and readings."""
-        profile, tracks = self._profile, self._tracks
+        profile, tracks, tracker = self._profile, self._tracks, self._tracks.tracker
         found = self._reading.copy()
         _update(
-            mask, tracks.tracker.poses, tracks.mount, tracks.bearings, tracks.ranges, tracks.moves,
+            mask, tracker.poses, tracks.mount, tracks.bearings, tracker.moving, tracker.moving_counts,
             self._climbed_m, profile.points, profile.sees, profile.drops, self._heights, self._places,
             self._steps, self._high[0], found,
         )  # fmt: skip
@@ -105,45 +115,159 @@ class LowObstacles(VectorSensor):
 
 @compile_function
 def _update(
-    mask: Any, poses: Any, mount: Any, bearings: Any, ranges: Any, moves: Any, height: Any, points: Any,
-    sees: Any, drops: Any, heights: Any, places: Any, steps: Any, farthest: float, found: Any,
+    mask: Any, poses: Any, mount: Any, bearings: Any, movers: Any, mover_counts: Any, height: Any,
+    points: Any, sees: Any, drops: Any, heights: Any, places: Any, steps: Any, farthest: float, found: Any,
 ) -> None:  # fmt: skip
     """Enter hits into the maps of the rows in `mask` (N,), and find their nearest steps, `found` (N, S) [m].
 
     `poses` (N, 3: x, y [m], yaw [rad]) and `height` (N,) [m] are of the odometry, `mount` (2,) [m] is the
-    LiDAR's, `bearings` (S,) [rad] are the middles of its segments, `ranges` (N, S) [m] its scan, and `moves`
-    (N, S) tells where something moves. `points` (N, P, 3) [m] are the hits in level frames with the robots'
-    headings, over the robots' ground, `sees` (N, P) which rays have one, and `drops` (N, P) those over the
-    end of the ground. Maps are `heights` (N, C, C) [m], `places` (N, C, C, 2), the numbers of cells that they
-    are of, and `steps` (N, C, C).
+    LiDAR's, `bearings` (S,) [rad] are the middles of its segments, and `movers` (N, T, 4: x, y, velocity),
+    `mover_counts` of them in a row, is what moves, in the robots' frames. `points` (N, P, 3) [m] are the hits
+    in level frames with the robots' headings, over the robots' ground, `sees` (N, P) which rays have one, and
+    `drops` (N, P) those over the end of the ground. Maps are `heights` (N, C, C) [m], `places` (N, C, C, 2),
+    the numbers of cells that they are of, and `steps` (N, C, C).
     """
-    hits = np.empty(points.shape[1], np.bool_)
+    count = points.shape[1]
+    hits, cells = np.empty(count, np.bool_), np.empty((count, 2), np.int64)
     for row in range(len(poses)):
         if not mask[row]:
             continue
-        _leave_out_moving(points[row], mount, bearings, ranges[row], moves[row], sees[row], hits)
+        _find_cells(poses[row], points[row], cells)
+        _leave_out_moving(points[row], movers[row, : mover_counts[row]], sees[row], hits)
         height[row] -= _drift_of(
-            poses[row], height[row], points[row], hits, heights[row], places[row], steps[row]
+            cells, height[row], points[row], hits, heights[row], places[row], steps[row]
         )
-        _enter(poses[row], height[row], points[row], hits, heights[row], places[row], steps[row])
-        _enter_drops(poses[row], height[row], points[row], drops[row], heights[row], places[row], steps[row])
+        _enter(cells, height[row], points[row], hits, heights[row], places[row], steps[row])
+        _enter_drops(cells, height[row], drops[row], heights[row], places[row], steps[row])
         _look_around(poses[row], mount, bearings, places[row], steps[row], farthest, found[row])
 
 
 @compile_function
-def _leave_out_moving(
-    points: Any, mount: Any, bearings: Any, ranges: Any, moves: Any, sees: Any, hits: Any
-) -> None:  # fmt: skip
-    """Which of the rays that `sees` (P,) has met something, `hits` (P,), that does not move in the scan."""
-    count = len(bearings)
+def _leave_out_moving(points: Any, movers: Any, sees: Any, hits: Any) -> None:
+    """Which of the rays that `sees` (P,) has met something, `hits` (P,), that is not at one of the `movers`."""
     for number in range(len(points)):
         hits[number] = sees[number]
-        ahead, left = points[number, 0] - mount[0], points[number, 1] - mount[1]
-        place, is_circle = _place_in_scan(np.arctan2(left, ahead), bearings)
-        segment = np.int64(np.round(place))
-        if is_circle or 0 <= segment < count:
-            is_near = abs(np.hypot(ahead, left) - ranges[segment % count]) < _MOVING_M
-            hits[number] = sees[number] and not (moves[segment % count] and is_near)
+        for mover in range(len(movers)):
+            ahead, left = points[number, 0] - movers[mover, 0], points[number, 1] - movers[mover, 1]
+            hits[number] = hits[number] and np.hypot(ahead, left) > _MOVING_M
+
+
+@compile_function
+def _find_cells(pose: Any, points: Any, cells: Any) -> None:
+    """Numbers (x, y) of the cells in the odometry's frame, `cells` (P, 2), of points (P, 3) in the body's."""
+    cos, sin = np.cos(pose[2]), np.sin(pose[2])
+    for number in range(len(points)):
+        ahead, left = points[number, 0], points[number, 1]
+        cells[number, 0] = np.int64(np.floor((pose[0] + cos * ahead - sin * left) / _CELL_M))
+        cells[number, 1] = np.int64(np.floor((pose[1] + sin * ahead + cos * left) / _CELL_M))
+
+
+@compile_function
+def _drift_of(
+    cells: Any, height: float, points: Any, hits: Any, heights: Any, places: Any, steps: Any
+) -> float:  # fmt: skip
+    """Median height of the hits over the map [m], in cells that it knows, beyond what is little."""
+    apart, count = np.empty(len(points)), 0
+    for number in range(len(points)):
+        if hits[number]:
+            x, y = cells[number, 0], cells[number, 1]
+            row, column = y % _CELLS, x % _CELLS
+            is_known = places[row, column, 0] == x and places[row, column, 1] == y
+            if is_known and not steps[row, column]:
+                apart[count] = points[number, 2] + height - heights[row, column]
+                count += 1
+    if count < _LEAST_HITS:
+        return 0.0
+    middle = np.median(apart[:count])
+    result: float = np.sign(middle) * max(abs(middle) - _DRIFT_M, 0.0)
+    return result
+
+
+@compile_function
+def _enter(
+    cells: Any, height: float, points: Any, hits: Any, heights: Any, places: Any, steps: Any
+) -> None:  # fmt: skip
+    """Enter the `hits` (P,) among `points` (P, 3), which are in `cells` (P, 2), into a map."""
+    plane = np.empty(9)
+    for number in range(len(points)):
+        if not hits[number]:
+            continue
+        x, y = cells[number, 0], cells[number, 1]
+        z = points[number, 2] + height
+        row, column = y % _CELLS, x % _CELLS
+        if places[row, column, 0] == x and places[row, column, 1] == y:
+            before = heights[row, column]
+            z = max(z, before + _NEW_SHARE * (z - before))
+        places[row, column, 0], places[row, column, 1] = x, y
+        heights[row, column] = z
+        is_step = False
+        plane[:] = 0.0
+        for up in range(-_REACH, _REACH + 1):
+            for right in range(-_REACH, _REACH + 1):
+                other, beside = _wrapped(row + up), _wrapped(column + right)
+                if places[other, beside, 0] != x + right or places[other, beside, 1] != y + up:
+                    continue
+                if not steps[other, beside] and (up != 0 or right != 0):
+                    _add_to_plane(heights[other, beside], float(right), float(up), plane)
+                rise = z - heights[other, beside]
+                least = _STEP_M + _SLOPE * _CELL_M * np.hypot(up, right)
+                if rise > least:
+                    is_step = True
+                elif -rise > least:
+                    steps[other, beside] = True
+        steps[row, column] = is_step or _height_over(plane, z) > _BUMP_M
+
+
+@compile_function
+def _wrapped(index: int) -> int:
+    """An index of the torus that is at most its size beside it; faster than by the remainder."""
+    if index < 0:
+        return index + _CELLS
+    return index - _CELLS if index >= _CELLS else index
+
+
+@compile_function
+def _enter_drops(
+    cells: Any, height: float, drops: Any, heights: Any, places: Any, steps: Any
+) -> None:  # fmt: skip
+    """Enter the `drops` (P,), which are in `cells` (P, 2), into a map, as steps at the robot's own level."""
+    for number in range(len(drops)):
+        if drops[number]:
+            x, y = cells[number, 0], cells[number, 1]
+            row, column = y % _CELLS, x % _CELLS
+            places[row, column, 0], places[row, column, 1] = x, y
+            heights[row, column], steps[row, column] = height, True
+
+
+@compile_function
+def _add_to_plane(height: float, along: float, across: float, plane: Any) -> None:
+    """Add a cell of a `height` [m] to the sums (9,) of a plane through cells."""
+    plane[0] += 1.0
+    plane[1] += along
+    plane[2] += across
+    plane[3] += height
+    plane[4] += along * along
+    plane[5] += along * across
+    plane[6] += across * across
+    plane[7] += along * height
+    plane[8] += across * height
+
+
+@compile_function
+def _height_over(plane: Any, z: float) -> float:
+    """How far a height [m] is over the plane of these sums (9,) at its origin; 0 where they are too few."""
+    count = plane[0]
+    if count < _LEAST_CELLS:
+        return 0.0
+    right, up, mean = plane[1] / count, plane[2] / count, plane[3] / count
+    xx = _LEVELLING + plane[4] - count * right * right
+    xy = plane[5] - count * right * up
+    yy = _LEVELLING + plane[6] - count * up * up
+    xz, yz = plane[7] - count * right * mean, plane[8] - count * up * mean
+    scale = xx * yy - xy * xy
+    slope_x, slope_y = (yy * xz - xy * yz) / scale, (xx * yz - xy * xz) / scale
+    result: float = z - (mean - slope_x * right - slope_y * up)
+    return result
 
 
 @compile_function
@@ -160,113 +284,6 @@ def _place_in_scan(bearing: float, bearings: Any) -> Any:
 
 
 @compile_function
-def _cell_of(pose: Any, point: Any) -> Any:
-    """Numbers (x, y) of the cell in the odometry's frame of a point in the body's."""
-    cos, sin = np.cos(pose[2]), np.sin(pose[2])
-    x = np.int64(np.floor((pose[0] + cos * point[0] - sin * point[1]) / _CELL_M))
-    y = np.int64(np.floor((pose[1] + sin * point[0] + cos * point[1]) / _CELL_M))
-    return x, y
-
-
-@compile_function
-def _drift_of(
-    pose: Any, height: float, points: Any, hits: Any, heights: Any, places: Any, steps: Any
-) -> float:  # fmt: skip
-    """Median height of the hits over the map [m], in cells that it knows, beyond what is little."""
-    apart, count = np.empty(len(points)), 0
-    for number in range(len(points)):
-        if hits[number]:
-            x, y = _cell_of(pose, points[number])
-            row, column = y % _CELLS, x % _CELLS
-            is_known = places[row, column, 0] == x and places[row, column, 1] == y
-            if is_known and not steps[row, column]:
-                apart[count] = points[number, 2] + height - heights[row, column]
-                count += 1
-    if count < _LEAST_HITS:
-        return 0.0
-    middle = np.median(apart[:count])
-    result: float = np.sign(middle) * max(abs(middle) - _DRIFT_M, 0.0)
-    return result
-
-
-@compile_function
-def _enter(
-    pose: Any, height: float, points: Any, hits: Any, heights: Any, places: Any, steps: Any
-) -> None:  # fmt: skip
-    """Enter the `hits` (P,) among `points` (P, 3) into a map."""
-    for number in range(len(points)):
-        if not hits[number]:
-            continue
-        x, y = _cell_of(pose, points[number])
-        z = points[number, 2] + height
-        row, column = y % _CELLS, x % _CELLS
-        if places[row, column, 0] == x and places[row, column, 1] == y:
-            before = heights[row, column]
-            z = max(z, before + _NEW_SHARE * (z - before))
-        places[row, column, 0], places[row, column, 1] = x, y
-        heights[row, column] = z
-        is_step = _stands_out(z, x, y, heights, places, steps)
-        for up in range(-_REACH, _REACH + 1):
-            for right in range(-_REACH, _REACH + 1):
-                other, beside = (y + up) % _CELLS, (x + right) % _CELLS
-                if places[other, beside, 0] != x + right or places[other, beside, 1] != y + up:
-                    continue
-                rise = z - heights[other, beside]
-                least = _STEP_M + _SLOPE * _CELL_M * np.hypot(up, right)
-                if rise > least:
-                    is_step = True
-                elif -rise > least:
-                    steps[other, beside] = True
-        steps[row, column] = is_step
-
-
-@compile_function
-def _enter_drops(
-    pose: Any, height: float, points: Any, drops: Any, heights: Any, places: Any, steps: Any
-) -> None:  # fmt: skip
-    """Enter the `drops` (P,) among `points` (P, 3) into a map, as steps at the robot's own level."""
-    for number in range(len(points)):
-        if drops[number]:
-            x, y = _cell_of(pose, points[number])
-            row, column = y % _CELLS, x % _CELLS
-            places[row, column, 0], places[row, column, 1] = x, y
-            heights[row, column], steps[row, column] = height, True
-
-
-@compile_function
-def _stands_out(z: float, x: Any, y: Any, heights: Any, places: Any, steps: Any) -> bool:
-    """Whether a height [m] in a cell stands out of the plane through the cells around it, steps left out."""
-    count, right, up, mean = 0.0, 0.0, 0.0, 0.0
-    xx, xy, yy, xz, yz = _LEVELLING, 0.0, _LEVELLING, 0.0, 0.0
-    for row in range(y - _REACH, y + _REACH + 1):
-        for column in range(x - _REACH, x + _REACH + 1):
-            other, beside = row % _CELLS, column % _CELLS
-            if places[other, beside, 0] != column or places[other, beside, 1] != row:
-                continue
-            if steps[other, beside] or (row == y and column == x):
-                continue
-            height, along, across = heights[other, beside], float(column - x), float(row - y)
-            count += 1.0
-            right += along
-            up += across
-            mean += height
-            xx += along * along
-            xy += along * across
-            yy += across * across
-            xz += along * height
-            yz += across * height
-    if count < _LEAST_CELLS:
-        return False
-    right, up, mean = right / count, up / count, mean / count
-    xx, xy, yy = xx - count * right * right, xy - count * right * up, yy - count * up * up
-    xz, yz = xz - count * right * mean, yz - count * up * mean
-    scale = xx * yy - xy * xy
-    slope_x, slope_y = (yy * xz - xy * yz) / scale, (xx * yz - xy * xz) / scale
-    result: bool = z - (mean - slope_x * right - slope_y * up) > _BUMP_M
-    return result
-
-
-@compile_function
 def _look_around(
     pose: Any, mount: Any, bearings: Any, places: Any, steps: Any, farthest: float, found: Any
 ) -> None:
@@ -276,14 +293,12 @@ def _look_around(
     origin_y = pose[1] + sin * mount[0] + cos * mount[1]
     count = len(bearings)
     found[:] = farthest
-    reach = np.int64(np.ceil(farthest / _CELL_M))
-    middle_x, middle_y = np.int64(np.floor(origin_x / _CELL_M)), np.int64(np.floor(origin_y / _CELL_M))
-    for y in range(middle_y - reach, middle_y + reach + 1):
-        for x in range(middle_x - reach, middle_x + reach + 1):
-            row, column = y % _CELLS, x % _CELLS
-            if not steps[row, column] or places[row, column, 0] != x or places[row, column, 1] != y:
+    for row in range(_CELLS):
+        for column in range(_CELLS):
+            if not steps[row, column]:
                 continue
-            along_x, along_y = (x + 0.5) * _CELL_M - origin_x, (y + 0.5) * _CELL_M - origin_y
+            along_x = (places[row, column, 0] + 0.5) * _CELL_M - origin_x
+            along_y = (places[row, column, 1] + 0.5) * _CELL_M - origin_y
             away = np.hypot(along_x, along_y)
             if away >= farthest:
                 continue
