@@ -188,7 +188,10 @@ def _enter(
     cells: Any, height: float, points: Any, hits: Any, heights: Any, places: Any, steps: Any
 ) -> None:  # fmt: skip
     """Enter the `hits` (P,) among `points` (P, 3), which are in `cells` (P, 2), into a map."""
-    plane = np.empty(9)
+    plane, leasts = np.empty(9), np.empty((2 * _REACH + 1, 2 * _REACH + 1))
+    for up in range(-_REACH, _REACH + 1):
+        for right in range(-_REACH, _REACH + 1):
+            leasts[up, right] = _STEP_M + _SLOPE * _CELL_M * np.hypot(up, right)
     for number in range(len(points)):
         if not hits[number]:
             continue
@@ -210,10 +213,9 @@ def _enter(
                 if not steps[other, beside] and (up != 0 or right != 0):
                     _add_to_plane(heights[other, beside], float(right), float(up), plane)
                 rise = z - heights[other, beside]
-                least = _STEP_M + _SLOPE * _CELL_M * np.hypot(up, right)
-                if rise > least:
+                if rise > leasts[up, right]:
                     is_step = True
-                elif -rise > least:
+                elif -rise > leasts[up, right]:
                     steps[other, beside] = True
         steps[row, column] = is_step or _height_over(plane, z) > _BUMP_M
 
