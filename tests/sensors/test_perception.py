@@ -194,6 +194,25 @@ def test_a_slope_has_no_steps_and_walkers_leave_none() -> None:
     simulation.close()
 
 
+def test_a_map_of_low_obstacles_climbs_with_a_robot_that_slips_down_a_slope() -> None:
+    slope = np.broadcast_to(np.linspace(-2.0, 2.0, 11), (11, 11)).T.copy()
+    simulation = on_ground(heights=slope, task={"terminations": {}})
+    suite = simulation.external[0].suite
+    assert suite is not None
+    sensor = suite.sensors["low_obstacles"]
+    assert isinstance(sensor, LowObstacles)
+    height, before = simulation.state.groups["rover"].motion.position_w[0, 2], sensor._climbed_m[0]
+    slipped = 0.0
+    for _ in range(80):
+        act(simulation, [0.4, -0.5])
+        motion = simulation.state.groups["rover"].motion
+        slipped += 0.05 * float(motion.velocity_b[0, 1])
+    assert abs(slipped) > 0.1
+    assert float(sensor._climbed_m[0]) - before == pytest.approx(motion.position_w[0, 2] - height, abs=0.02)
+    assert (readings(simulation)["low_obstacles"] == 3.0).all()
+    simulation.close()
+
+
 def test_a_reset_of_one_scene_leaves_the_others_as_they_are() -> None:
     brick = box(-2.0 + 0.174 + 1.2, 0.0, 0.2, 0.5, 0.15)
     simulation = simulation_on(plain(brick), 2, sensors=GROUND, task={"terminations": {}})
