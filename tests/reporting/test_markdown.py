@@ -86,13 +86,24 @@ def test_protocols_stand_side_by_side_beside_table_3(file: Path) -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ("columns: {X: a}\nmeasures: [SR]", "a is no evaluation with protocol=paper or protocol=dune_code"),
-        ("columns: {X: runs}\nmeasures: [OC]", "no folder has the measure OC"),
+        ("columns: {X: a}\nmeasures: [SR]", "a was made with protocol=None, not with paper or dune_code"),
+        ("columns: {X: none}\nmeasures: [SR]", "there is no folder none"),
+        ("columns: {X: runs}\nmeasures: [OC]", "no folder has the measure OC; they have SR"),
         ("columns: {X: runs}\nmeasures: [SR]\nworld: rubicon", "has no rubicon; it has flat, inspection"),
+        ("columns: {X: runs}\nmeasures: [SR]\ndecimals: {TC: 1}", "decimals: TC is none of the measures"),
+        ("columns: {X: {folder: runs, policy: y}}\nmeasures: [SR]", "summary.csv has no rows of y"),
+        ("columns: {X: empty}\nmeasures: [SR]", "empty has no summary.csv"),
+        ("columns: {X: short}\nmeasures: [SR]", "short/summary.csv lacks the column low"),
+        ("columns: {X: two}\nmeasures: [SR]", r"two has several policies \(x, other\); name one"),
     ],
 )
 def test_wrong_protocols_are_named(file: Path, settings: str, message: str) -> None:
-    write_runs(file.parent / "runs", "paper", {"SR/run": (0.9, 0.8, 0.95)})
+    for name in ("runs", "empty", "short", "two"):
+        write_runs(file.parent / name, "paper", {"SR/run": (0.9, 0.8, 0.95)})
+    (file.parent / "empty" / "summary.csv").unlink()
+    (file.parent / "short" / "summary.csv").write_text("policy,group,measure,value\nx,rover,SR/run,0.9\n")
+    with (file.parent / "two" / "summary.csv").open("a") as summary:
+        summary.write("other,rover,SR/run,0.2,0.1,0.3,10,10,\n")
     file.write_text(f"<!-- report: protocols\n{settings}\n-->\n{END}")
     with pytest.raises(ConfigError, match=message):
         rewrite_file(file)

@@ -70,8 +70,9 @@ def rewrite_file(file: Path) -> Rewritten:
         raise ConfigError(f"into={file} cannot be read as text: {error}") from None
     found = rewrite_text(text, file)
     if not found.blocks:
+        kinds = ", ".join(_MAKERS)
         raise ConfigError(
-            f"{file} has no block that begins with <!-- report: table; see docs/how_to/report.md"
+            f"{file} has no block that begins with <!-- report: and one of {kinds}; see docs/how_to/report.md"
         )
     if found.text != text:
         with write_atomically(file) as temporary:

@@ -30,10 +30,10 @@ _BUMP_M, _LEAST_CELLS, _LEVELLING = 0.045, 6.0, 1.0
 _DRIFT_M, _LEAST_HITS = 0.02, 12
 # A lower height takes the place of a higher one by this share in each look.
 _NEW_SHARE = 0.3
-# Hits this near to what moves are on it.
+# Hits this near to what moves are taken for its own, also those on stones there.
 _MOVING_M = 0.5
 _NEAREST_M = 0.1
-# Of robots that lie on their side, the plane that they stand on is not known: the cosine of 60 degrees.
+# A robot that is tilted by more than 60 degrees does not stand on its plane, and climbs nothing (the cosine).
 _LEAST_UP = 0.5
 
 
@@ -56,7 +56,7 @@ class LowObstacles(VectorSensor):
     Steps are where the ground rises by more than 5 cm beyond a slope, or stands out of the plane around by
     4.5 cm: stones, bricks, kerbs, walls; and where the ground ends. Segments and distances are from the
     LiDAR's mount. Heights are those of the rays' hits, by the robot's attitude and odometry and by ground
-    that is seen again; hits on what moves are left out, and a step fades where lower ground is
+    that is seen again; hits within 0.5 m of what moves are left out, and a step fades where lower ground is
     seen.
     """
 
@@ -99,7 +99,8 @@ class LowObstacles(VectorSensor):
         moved, self._places_before = np.stack([x, y], axis=1) - self._places_before, np.stack([x, y], axis=1)
         cos, sin, up = np.cos(yaw), np.sin(yaw), self._profile.up
         ahead, left = cos * moved[:, 0] + sin * moved[:, 1], cos * moved[:, 1] - sin * moved[:, 0]
-        self._climbed_m -= (up[:, 0] * ahead + up[:, 1] * left) / np.maximum(up[:, 2], _LEAST_UP)
+        climbed = -(up[:, 0] * ahead + up[:, 1] * left) / np.maximum(up[:, 2], _LEAST_UP)
+        self._climbed_m += np.where(up[:, 2] > _LEAST_UP, climbed, 0.0)
 
     def _look(self, mask: Flags) -> None:
         """Enter what the rays of the agents in `mask` (N,) meet; the others keep their maps and readings."""
@@ -134,9 +135,7 @@ def _update(
             continue
         _find_cells(poses[row], points[row], cells)
         _leave_out_moving(points[row], movers[row, : mover_counts[row]], sees[row], hits)
-        height[row] -= _drift_of(
-            cells, height[row], points[row], hits, heights[row], places[row], steps[row]
-        )
+        height[row] -= _drift_of(cells, height[row], points[row], hits, heights[row], places[row], steps[row])
         _enter(cells, height[row], points[row], hits, heights[row], places[row], steps[row])
         _enter_drops(cells, height[row], drops[row], heights[row], places[row], steps[row])
         _look_around(poses[row], mount, bearings, places[row], steps[row], farthest, found[row])
@@ -144,7 +143,7 @@ def _update(
 
 @compile_function
 def _leave_out_moving(points: Any, movers: Any, sees: Any, hits: Any) -> None:
-    """Which of the rays that `sees` (P,) has met something, `hits` (P,), that is not at one of the `movers`."""
+    """Which of the rays that `sees` (P,) has met something, `hits` (P,), that is at none of the `movers`."""
     for number in range(len(points)):
         hits[number] = sees[number]
         for mover in range(len(movers)):
@@ -188,6 +187,7 @@ def _enter(
     cells: Any, height: float, points: Any, hits: Any, heights: Any, places: Any, steps: Any
 ) -> None:  # fmt: skip
     """Enter the `hits` (P,) among `points` (P, 3), which are in `cells` (P, 2), into a map."""
+    # By how much a step rises over a cell `up` and `right` of it [m]; negative indices count from the end.
     plane, leasts = np.empty(9), np.empty((2 * _REACH + 1, 2 * _REACH + 1))
     for up in range(-_REACH, _REACH + 1):
         for right in range(-_REACH, _REACH + 1):
