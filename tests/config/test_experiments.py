@@ -125,6 +125,16 @@ def test_the_cost_of_actors_is_that_of_its_run() -> None:
     assert f"by social forces {force:.0%}, by ORCA {orca:.0%}".replace("%", " %") in text
 
 
+def test_the_cost_of_perception_is_that_of_its_runs() -> None:
+    lines = (EXPERIMENTS / "speed" / "perception.jsonl").read_text().splitlines()
+    plain, flat, rings = (json.loads(line)["overhead_ratio"] for line in lines)
+    text = " ".join(SPEED_PAGE.read_text().split())
+    assert f"of {plain:.2f} with `sensors=default` becomes {flat:.2f} with `sensors=perception`" in text
+    assert f"and {rings:.2f} with `sensors=perception_3d`" in text
+    shares = [f"{100.0 * (one - plain) / one:.0f}" for one in (flat, rings)]
+    assert f"{shares[0]} and {shares[1]} % of a step are perception" in text
+
+
 def test_the_table_of_failures_is_that_of_its_files() -> None:
     folder = EXPERIMENTS / "policies"
     text = (folder / "README.md").read_text()
