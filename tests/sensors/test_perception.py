@@ -194,6 +194,18 @@ def test_a_slope_has_no_steps_and_walkers_leave_none() -> None:
     simulation.close()
 
 
+def test_a_brick_is_a_step_again_when_a_walker_has_gone_by() -> None:
+    brick = box(-2.0 + 0.174 + 1.2, 0.0, 0.2, 0.5, 0.15)
+    simulation = simulation_on(plain(brick), sensors=GROUND, actors={"walker": {**WALKER, "count": 1}})
+    simulation.reset(requests={0: {"rover_0": AgentRequest((-2.0, 0.0, 0.0), (3.0, 0.0))}})
+    # Along the far side of the brick, at 1 m/s, until he is 2 m aside of it.
+    put_walkers(simulation, [[-0.2, 1.2, 0.0, -np.pi / 2]])
+    for _ in range(64):
+        simulation.step({"rover": np.zeros((1, 1, 2)), "walker": np.array([[[1.0, 0.0]]])})
+    assert readings(simulation)["low_obstacles"][31:33] == pytest.approx(1.1, abs=0.15)
+    simulation.close()
+
+
 def test_a_map_of_low_obstacles_climbs_with_a_robot_that_slips_down_a_slope() -> None:
     slope = np.broadcast_to(np.linspace(-2.0, 2.0, 11), (11, 11)).T.copy()
     simulation = on_ground(heights=slope, task={"terminations": {}})
