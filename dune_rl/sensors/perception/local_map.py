@@ -20,6 +20,8 @@ _MET = 100.0
 # A metre costs 1, and more within so many cells of obstacles, and of low ones, some of which are none.
 _AT_CELLS, _BESIDE_CELLS = 2.0, 4.25
 _COSTS, _LOW_COSTS = (20.0, 2.0), (6.0, 1.0)
+# So it does where something has moved, within so many cells of its middle: it may come back.
+_TRAFFIC_COST, _TRAFFIC_CELLS = 2.0, 3.2
 # Low obstacles this near to the body are no longer there if they are not seen again [m].
 _CLEARED_M = 3.0
 # Ground that is no obstacle, though a scan met it, has no step and so many known cells beside it, of 8.
@@ -31,20 +33,22 @@ _FAR = 1e6
 
 
 @compile_function
-def _recentre(pose: Any, origin: Any, evidence: Any, low: Any) -> bool:
+def _recentre(pose: Any, origin: Any, evidence: Any, low: Any, traffic: Any) -> bool:
     """Move a map's layers (CELLS, CELLS) along if the body is far from their middle; whether they moved."""
     column = np.int64(np.floor(pose[0] / CELL_M)) - CELLS // 2
     row = np.int64(np.floor(pose[1] / CELL_M)) - CELLS // 2
     right, up = column - origin[0], row - origin[1]
     if abs(right) <= _ROOM and abs(up) <= _ROOM:
         return False
-    old, old_low = evidence.copy(), low.copy()
+    old, old_low, old_traffic = evidence.copy(), low.copy(), traffic.copy()
     evidence[:] = 0.0
     low[:] = False
+    traffic[:] = False
     for y in range(max(0, -up), min(CELLS, CELLS - up)):
         for x in range(max(0, -right), min(CELLS, CELLS - right)):
             evidence[y, x] = old[y + up, x + right]
             low[y, x] = old_low[y + up, x + right]
+            traffic[y, x] = old_traffic[y + up, x + right]
     origin[0], origin[1] = column, row
     return True
 
@@ -72,6 +76,20 @@ def _enter_scan(
             row = np.int64(np.floor((y + ranges[segment] * along_y) / CELL_M)) - origin[1]
             if 0 <= column < CELLS and 0 <= row < CELLS:
                 evidence[row, column] = max(evidence[row, column], min(evidence[row, column] + _HIT, _MOST))
+
+
+@compile_function
+def _enter_movers(pose: Any, movers: Any, origin: Any, traffic: Any) -> None:
+    """Enter where `movers` (T, 4: x, y, velocity) are, in the body's frame, into the layer `traffic`."""
+    cos, sin, reach = np.cos(pose[2]), np.sin(pose[2]), np.int64(_TRAFFIC_CELLS)
+    for mover in range(len(movers)):
+        ahead, left = movers[mover, 0], movers[mover, 1]
+        column = np.int64(np.floor((pose[0] + cos * ahead - sin * left) / CELL_M)) - origin[0]
+        row = np.int64(np.floor((pose[1] + sin * ahead + cos * left) / CELL_M)) - origin[1]
+        for y in range(max(row - reach, 0), min(row + reach + 1, CELLS)):
+            for x in range(max(column - reach, 0), min(column + reach + 1, CELLS)):
+                if (y - row) ** 2 + (x - column) ** 2 <= _TRAFFIC_CELLS**2:
+                    traffic[y, x] = True
 
 
 @compile_function
@@ -130,10 +148,12 @@ def _enter_low(
 
 
 @compile_function
-def _costs_of_cells(evidence: Any, low: Any, box: Any, costs: Any) -> None:
-    """Cost of a metre in each cell of a `box` (as in `solve_ways`), by evidence and by low obstacles."""
+def _costs_of_cells(evidence: Any, low: Any, traffic: Any, box: Any, costs: Any) -> None:
+    """Cost of a metre in each cell of a `box` (as in `solve_ways`), by evidence, low ones and traffic."""
     reach = np.int64(_BESIDE_CELLS)
-    costs[box[2] : box[3], box[0] : box[1]] = 1.0
+    for row in range(box[2], box[3]):
+        for column in range(box[0], box[1]):
+            costs[row, column] = 1.0 + (_TRAFFIC_COST if traffic[row, column] else 0.0)
     for row in range(max(box[2] - reach, 0), min(box[3] + reach, CELLS)):
         for column in range(max(box[0] - reach, 0), min(box[1] + reach, CELLS)):
             if evidence[row, column] >= _OCCUPIED:
@@ -206,20 +226,22 @@ def _around(one: float, other: float, margin: int) -> Any:
 @compile_function
 def update_maps(
     poses: Any, mount: Any, bearings: Any, ranges: Any, sees: Any, moves: Any, goals: Any, origins: Any,
-    evidence: Any, low: Any, ways: Any, planned: Any, ages: Any, margin: int, steps: Any, places: Any,
-    cell_m: float,
+    evidence: Any, low: Any, traffic: Any, ways: Any, planned: Any, ages: Any, margin: int, movers: Any,
+    mover_counts: Any, steps: Any, places: Any, cell_m: float,
 ) -> None:  # fmt: skip
     """Enter a scan into each row's map, and find the ways anew every 0.5 s, or where the goal has moved.
 
     They are found in a rectangle with the body and the goal, and `margin` cells around these. Low obstacles
     are where `steps` (N, C, C) tells, in the cells number `places` (N, C, C, 2) of `cell_m` [m]; the layers
-    `low` (N, CELLS, CELLS) keep them.
+    `low` (N, CELLS, CELLS) keep them. `traffic` (N, CELLS, CELLS) is where any of the `movers` (N, T, 4),
+    `mover_counts` (N,) of them in a row, have been.
     """
     costs = np.empty((CELLS, CELLS))
     for row in range(len(poses)):
         pose, origin = poses[row], origins[row]
-        moved = _recentre(pose, origin, evidence[row], low[row])
+        moved = _recentre(pose, origin, evidence[row], low[row], traffic[row])
         _enter_scan(pose, mount, bearings, ranges[row], sees[row], moves[row], origin, evidence[row])
+        _enter_movers(pose, movers[row, : mover_counts[row]], origin, traffic[row])
         cos, sin = np.cos(pose[2]), np.sin(pose[2])
         goal_x = pose[0] + cos * goals[row, 0] - sin * goals[row, 1]
         goal_y = pose[1] + sin * goals[row, 0] + cos * goals[row, 1]
@@ -230,7 +252,7 @@ def update_maps(
             x, y = pose[0] / CELL_M - origin[0], pose[1] / CELL_M - origin[1]
             to_x, to_y = goal_x / CELL_M - origin[0], goal_y / CELL_M - origin[1]
             box = (*_around(x, to_x, margin), *_around(y, to_y, margin))
-            _costs_of_cells(evidence[row], low[row], box, costs)
+            _costs_of_cells(evidence[row], low[row], traffic[row], box, costs)
             solve_ways(to_x, to_y, costs, ways[row], box)
             planned[row, 0], planned[row, 1] = goal_x, goal_y
             ages[row] = 0
@@ -260,15 +282,16 @@ class LocalMap:
     A cell is an obstacle after two returns. Beams that pass through a cell clear it, the sooner the fewer
     returns it had; not where the body has met something (`block`). Low obstacles, which no scan sees, are a
     layer of their own; where that knows ground without one, returns are no obstacle. Returns from moving
-    objects are ignored. `ways` are the costs to the goals [m], found up to `margin` cells from the body and
-    its goal; `origins` (N, 2) are the numbers of the maps' first columns and rows.
+    objects are ignored, but ways through where these have been cost more. `ways` are the costs to the goals
+    [m], found up to `margin` cells from the body and its goal; `origins` (N, 2) are the numbers of the maps'
+    first columns and rows.
     """
 
     def __init__(self, num_rows: int, bearings: Array, mount: Array, margin: int = CELLS) -> None:
         self._margin = margin
         self._bearings, self._mount = np.ascontiguousarray(bearings), np.ascontiguousarray(mount)
         self._evidence = np.zeros((num_rows, CELLS, CELLS), np.float32)
-        self._low = np.zeros((num_rows, CELLS, CELLS), bool)
+        self._low, self._traffic = np.zeros((2, num_rows, CELLS, CELLS), bool)
         self.ways = np.zeros((num_rows, CELLS, CELLS), np.float32)
         self.origins = np.full((num_rows, 2), -(CELLS // 2), np.int64)
         self._planned = np.full((num_rows, 2), np.nan)
@@ -277,7 +300,7 @@ class LocalMap:
     def forget(self, mask: Flags) -> None:
         """Empty the maps of the rows in `mask` (N,), whose odometry begins anew."""
         self._evidence[mask] = 0.0
-        self._low[mask] = False
+        self._low[mask] = self._traffic[mask] = False
         self.origins[mask] = -(CELLS // 2)
         self._planned[mask] = np.nan
         self._ages[mask] = 0
@@ -295,14 +318,16 @@ class LocalMap:
 
     def update(
         self, poses: Array, ranges: Array, sees: Flags, moves: Flags, goals: Array,
-        low: tuple[Flags, Any, float] | None = None,
+        low: tuple[Flags, Any, float] | None = None, movers: tuple[Array, Any] | None = None,
     ) -> None:  # fmt: skip
         """Take a scan: `ranges` (N, S) [m], which segments have a return and which of them move (N, S), at
         `poses` (N, 3) of the odometry; `goals` (N, 2) [m] are in the vehicles' frames. `low` is as
-        `LowObstacles.map` gives it.
+        `LowObstacles.map` gives it. `movers` are what moves (N, T, 4: x, y, velocity), in the vehicles'
+        frames, and how many there are in a row (N,).
         """
+        moving, counts = movers or (np.zeros((len(poses), 0, 4)), np.zeros(len(poses), np.int64))
         update_maps(
             poses, self._mount, self._bearings, ranges, sees, moves, goals, self.origins, self._evidence,
-            self._low, self.ways, self._planned, self._ages, self._margin,
+            self._low, self._traffic, self.ways, self._planned, self._ages, self._margin, moving, counts,
             *(low or no_low_obstacles(len(poses))),
         )  # fmt: skip

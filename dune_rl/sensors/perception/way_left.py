@@ -25,8 +25,8 @@ _SHORTER_M, _LONGER_M = -4.0, 6.0
 class WayLeftConf(SensorSettings):
     """How much farther or nearer the goal is by way of points around the robot, over what it has seen.
 
-    The map of 32 by 32 m is gathered from the LiDAR's scans by odometry; moving objects are no part of it.
-    Ways also lead round low obstacles, where their sensor is named.
+    The map of 32 by 32 m is gathered from the LiDAR's scans by odometry; moving objects are no part of it,
+    but ways avoid where they have been. Ways also lead round low obstacles, where their sensor is named.
     """
 
     sensor: Literal["way_left"] = "way_left"
@@ -79,11 +79,12 @@ class WayLeft(VectorSensor):
         self._reading = np.where(mask[:, None], self._reading, before)
 
     def measure(self, now: GroupState, state: State) -> None:
-        tracks, goals = self.tracks, self.tracks.goals()
+        tracks, tracker, goals = self.tracks, self.tracks.tracker, self.tracks.goals()
         low = None if self.low_obstacles is None else self.low_obstacles.map
-        self.map.update(tracks.tracker.poses, tracks.ranges, tracks.sees, tracks.moves, goals, low)
+        movers = tracker.moving, tracker.moving_counts
+        self.map.update(tracker.poses, tracks.ranges, tracks.sees, tracks.moves, goals, low, movers)
         found = np.empty((len(goals), len(self._points)), np.float32)
-        _ways_around(tracks.tracker.poses, self.map.ways, self.map.origins, self._points, found)
+        _ways_around(tracker.poses, self.map.ways, self.map.origins, self._points, found)
         self._store(found)
 
 
