@@ -194,7 +194,7 @@ def test_a_slope_has_no_steps_and_walkers_leave_none() -> None:
     simulation.close()
 
 
-def test_a_brick_is_a_step_again_when_a_walker_has_gone_by() -> None:
+def test_a_brick_is_a_step_when_a_walker_has_gone_by() -> None:
     brick = box(-2.0 + 0.174 + 1.2, 0.0, 0.2, 0.5, 0.15)
     simulation = simulation_on(plain(brick), sensors=GROUND, actors={"walker": {**WALKER, "count": 1}})
     simulation.reset(requests={0: {"rover_0": AgentRequest((-2.0, 0.0, 0.0), (3.0, 0.0))}})
@@ -332,16 +332,17 @@ def test_what_was_seen_for_long_outlasts_beams_that_pass_beside_it() -> None:
 def test_ways_avoid_where_somebody_has_walked_until_the_map_begins_anew() -> None:
     map_ = LocalMap(2, np.linspace(-np.pi, np.pi, 64, endpoint=False), np.zeros(2))
     nothing, far = np.zeros((2, 64), bool), np.full((2, 64), 12.0)
-    pose, goal = np.zeros((2, 3)), np.array([[3.0, 0.0]] * 2)
+    # Far enough to move the map along, and turned left: ahead is y.
+    pose, goal = np.array([[20.0, -10.0, np.pi / 2]] * 2), np.array([[3.0, 0.0]] * 2)
     for y in np.linspace(-1.5, 1.5, 31):
         walker = np.array([[[1.5, y, 0.0, 1.0]], [[9.0, y, 0.0, 1.0]]])
         map_.update(pose, far, nothing, nothing, goal, movers=(walker, np.array([1, 0])))
-    crossed, free = (way_left(map_.ways[row], map_.origins[row], 0.0, 0.0) for row in (0, 1))
+    crossed, free = (way_left(map_.ways[row], map_.origins[row], 20.0, -10.0) for row in (0, 1))
     # Through a band of 0.8 m, at 2 a metre more.
     assert free == pytest.approx(3.0, abs=0.2) and crossed == pytest.approx(free + 1.6, abs=0.5)
     map_.forget(np.array([True, False]))
     map_.update(pose, far, nothing, nothing, goal)
-    assert way_left(map_.ways[0], map_.origins[0], 0.0, 0.0) == pytest.approx(free, abs=0.05)
+    assert way_left(map_.ways[0], map_.origins[0], 20.0, -10.0) == pytest.approx(free, abs=0.05)
 
 
 def test_low_obstacles_out_of_sight_stay_on_the_map() -> None:

@@ -21,6 +21,7 @@ from dune_rl.statistics.intervals import Estimate
 _AROUND = {"paper": ("", "/run"), "dune_code": ("code ", "")}
 
 
+# Columns of a summary that are read.
 _COLUMNS = ("policy", "group", "measure", "value", "low", "high", "count", "units")
 
 

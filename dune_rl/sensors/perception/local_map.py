@@ -20,7 +20,7 @@ _MET = 100.0
 # A metre costs 1, and more within so many cells of obstacles, and of low ones, some of which are none.
 _AT_CELLS, _BESIDE_CELLS = 2.0, 4.25
 _COSTS, _LOW_COSTS = (20.0, 2.0), (6.0, 1.0)
-# So it does where something has moved, within so many cells of its middle: it may come back.
+# A metre costs so much more within so many cells of where something has moved: it may come back.
 _TRAFFIC_COST, _TRAFFIC_CELLS = 2.0, 3.2
 # Low obstacles this near to the body are no longer there if they are not seen again [m].
 _CLEARED_M = 3.0
@@ -80,7 +80,7 @@ def _enter_scan(
 
 @compile_function
 def _enter_movers(pose: Any, movers: Any, origin: Any, traffic: Any) -> None:
-    """Enter where `movers` (T, 4: x, y, velocity) are, in the body's frame, into the layer `traffic`."""
+    """Enter where `movers` (T, 4: x, y [m], velocity) are, in the body's frame, into `traffic`."""
     cos, sin, reach = np.cos(pose[2]), np.sin(pose[2]), np.int64(_TRAFFIC_CELLS)
     for mover in range(len(movers)):
         ahead, left = movers[mover, 0], movers[mover, 1]
@@ -282,9 +282,9 @@ class LocalMap:
     A cell is an obstacle after two returns. Beams that pass through a cell clear it, the sooner the fewer
     returns it had; not where the body has met something (`block`). Low obstacles, which no scan sees, are a
     layer of their own; where that knows ground without one, returns are no obstacle. Returns from moving
-    objects are ignored, but ways through where these have been cost more. `ways` are the costs to the goals
-    [m], found up to `margin` cells from the body and its goal; `origins` (N, 2) are the numbers of the maps'
-    first columns and rows.
+    objects are ignored, but ways through where `movers` have been cost more, until the episode ends. `ways`
+    are the costs to the goals [m], found up to `margin` cells from the body and its goal; `origins` (N, 2)
+    are the numbers of the maps' first columns and rows.
     """
 
     def __init__(self, num_rows: int, bearings: Array, mount: Array, margin: int = CELLS) -> None:
