@@ -10,8 +10,9 @@ from simulations import act, put_walkers, simulation_on, started_simulation
 from dune_rl.core.errors import ConfigError
 from dune_rl.env.requests import AgentRequest
 from dune_rl.env.simulation import VectorSimulation
-from dune_rl.sensors.perception.local_map import LocalMap, way_left
+from dune_rl.sensors.perception.local_map import LocalMap
 from dune_rl.sensors.perception.low_obstacles import LowObstacles
+from dune_rl.sensors.perception.ways import way_left
 
 SENSORS = {
     "lidar": {"n_segments": 64},
@@ -343,6 +344,22 @@ def test_ways_avoid_where_somebody_has_walked_until_the_map_begins_anew() -> Non
     map_.forget(np.array([True, False]))
     map_.update(pose, far, nothing, nothing, goal)
     assert way_left(map_.ways[0], map_.origins[0], 20.0, -10.0) == pytest.approx(free, abs=0.05)
+
+
+def test_way_left_avoids_where_a_walker_was_tracked() -> None:
+    ways = []
+    for speed in (0.0, 1.0):
+        simulation = simulation_on(plain(), sensors=SENSORS, actors={"walker": {**WALKER, "count": 1}})
+        simulation.reset(requests={0: {"rover_0": AgentRequest((-4.0, 0.0, 0.0), (3.0, 0.0))}})
+        put_walkers(simulation, [[-2.8, -1.5, 0.0, np.pi / 2]])
+        # From the right to the left, 1.2 m ahead, and away; who stands is an obstacle, who walked is none.
+        for _ in range(120):
+            simulation.step({"rover": np.zeros((1, 1, 2)), "walker": np.array([[[speed, 0.0]]])})
+        ways.append(readings(simulation)["way_left"].reshape(3, 16))
+        simulation.close()
+    # Straight on, 2.4 m ahead, the trail is behind: as near as before, and a way through it dearer.
+    assert ways[0][2, 8] == pytest.approx(-2.4, abs=0.2)
+    assert ways[1][2, 8] < ways[0][2, 8] - 0.8
 
 
 def test_low_obstacles_out_of_sight_stay_on_the_map() -> None:

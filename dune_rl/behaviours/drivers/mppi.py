@@ -39,10 +39,10 @@ class Mppi(BoundBehaviour):
 
     It knows the readings `goal`, `lidar` and `velocity` of its group, with their faults if they have any, and
     the vehicle's own size, limits and LiDAR mount. It knows no map and no slopes: it remembers the returns of
-    the last 32 by 32 m (`LocalMap`), in the frame of the odometry that `velocity` gives, and finds
-    its way to the goal there. Small objects that move from scan to scan have tracks (`ScanTracker`), and go
-    on with their velocity within the horizon. Rising ground in the scan is an obstacle to it, and what lies
-    below the scan's plane it does not see before it meets it.
+    the last 32 by 32 m (`LocalMap`), in the frame of the odometry that `velocity` gives, and finds its way to
+    the goal there. Small objects that move from scan to scan have tracks (`ScanTracker`), and go on with
+    their velocity within the horizon; ways through where they have been cost more. Rising ground in the scan
+    is an obstacle to it, and what lies below the scan's plane it does not see before it meets it.
 
     Williams et al., "Information theoretic MPC for model-based reinforcement learning" (2017). `samples` and
     `horizon_s` set its effort; `temperature` is the lambda of the weights; `margin_m` is the distance at
@@ -159,7 +159,9 @@ class Mppi(BoundBehaviour):
         for row in np.flatnonzero(blocked).tolist():
             self._map.block(row, self._recovery.blocked[row][-1])
         self._nominal[blocked] = 0.0
-        self._map.update(tracker.poses, ranges, sees, moves, goals)
+        self._map.update(
+            tracker.poses, ranges, sees, moves, goals, movers=(tracker.moving, tracker.moving_counts)
+        )
         rests = sees & (ranges < reach) & ~moves
         seen = np.repeat(rests, _POINTS_PER_SEGMENT, axis=1)
         order = np.argsort(~seen, axis=1, kind="stable")

@@ -13,7 +13,7 @@ import numpy as np
 
 from dune_rl.geometry.compiled import compile_function
 from dune_rl.geometry.planar import length
-from dune_rl.sensors.perception.local_map import way_left
+from dune_rl.sensors.perception.ways import way_left
 
 _ARRIVED_M = 0.3
 # Closer than this to a return counts as contact: segments and responses are no more exact.

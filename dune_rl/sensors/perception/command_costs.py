@@ -20,9 +20,10 @@ from dune_rl.sensors.perception.dynamic_window import (
     score_commands,
     window_vehicle,
 )
-from dune_rl.sensors.perception.local_map import no_low_obstacles, way_left
+from dune_rl.sensors.perception.local_map import no_low_obstacles
 from dune_rl.sensors.perception.stuck_recovery import StuckRecovery
 from dune_rl.sensors.perception.way_left import WayLeft
+from dune_rl.sensors.perception.ways import way_left
 from dune_rl.sensors.sensor import Reading, VectorSensor
 from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.command_grid import CommandGridConf, command_grid

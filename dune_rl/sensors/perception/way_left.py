@@ -10,8 +10,9 @@ from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.geometry.compiled import compile_function
 from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.perception.agent_tracks import AgentTracks
-from dune_rl.sensors.perception.local_map import LocalMap, way_left
+from dune_rl.sensors.perception.local_map import LocalMap
 from dune_rl.sensors.perception.low_obstacles import LowObstacles
+from dune_rl.sensors.perception.ways import way_left
 from dune_rl.sensors.sensor import VectorSensor
 from dune_rl.sensors.settings import SensorSettings
 from dune_rl.state.state import GroupState, State

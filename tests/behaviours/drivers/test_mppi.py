@@ -91,6 +91,28 @@ def test_mppi_keeps_clear_of_a_walker_whom_straight_on_it_would_meet(velocity: t
     assert np.hypot(*(track[-1, :2] - [7.0, 0.0])) < 0.5
 
 
+def test_mppi_drives_round_where_somebody_has_walked() -> None:
+    sides = []
+    for walks in (False, True):
+        bodies = DrivenBodies(yard(), [0.0, 0.0, 0.0], [6.0, 0.0], NOBODY)
+        walker = np.array([3.0, -0.9, PERSON_M])
+
+        def readings(bodies: DrivenBodies = bodies, walker: np.ndarray = walker) -> dict[str, np.ndarray]:
+            return bodies.readings(walker[None])
+
+        mppi = Mppi(1)
+        mppi.bind(DriverContext("rover", bodies.vehicle, LIDAR, readings))
+        # Somebody walks from the right to the left, and goes away.
+        for y in np.linspace(-0.9, 0.9, 40):
+            walker[1] = y if walks else 100.0
+            mppi.act(*bodies.state())
+        walker[1] = 100.0
+        while bodies.poses[0, 0] < 3.0:
+            bodies.move(mppi.act(*bodies.state()))
+        sides.append(abs(bodies.poses[0, 1]))
+    assert sides[0] < 0.4 and sides[1] > 0.7
+
+
 def test_mppi_leaves_a_dead_end_that_it_remembers() -> None:
     along = np.arange(-0.5, 2.6, 0.15)
     ends = np.arange(-1.3, 1.4, 0.15)
