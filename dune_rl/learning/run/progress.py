@@ -245,7 +245,7 @@ class SpeedMeter:
     """Frames and updates per second over the last seconds, and the time of an evaluation.
 
     `latest` are the speeds [1/s] at the last mark, zero before the second. They are known well enough for an
-    estimate 35 s after the first mark, evaluations left out.
+    estimate 35 s after the second mark, evaluations left out.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -258,8 +258,6 @@ class SpeedMeter:
     def mark(self, frames: int, updates: int) -> tuple[float, float]:
         """Record the counts now; returns the speeds, and after a pause the speeds from before it."""
         now = self._clock()
-        if math.isnan(self._begun_s):
-            self._begun_s = now
         self._marks.append((now, frames, updates))
         while len(self._marks) > 2 and now - self._marks[0][0] > _WINDOW_S:
             self._marks.popleft()
@@ -268,6 +266,10 @@ class SpeedMeter:
         if span > 0:
             self.latest = (frames - frames_then) / span, (updates - updates_then) / span
             self._is_known |= now - self._begun_s >= _SETTLED_S
+        if math.isnan(self._begun_s) and len(self._marks) > 1:
+            # The first batch also waits for processes to start and for what is learnt from the warm-up at once.
+            self._begun_s = now
+            self._marks.popleft()
         return self.latest
 
     def pause(self, evaluation_s: float) -> None:
