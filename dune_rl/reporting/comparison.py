@@ -14,8 +14,8 @@ from dune_rl.metrics.catalogue import Measure, measure_of
 from dune_rl.reporting.inputs import EvaluationRun
 from dune_rl.reporting.rows import Row, is_number
 from dune_rl.statistics.intervals import Estimate
-from dune_rl.statistics.measures import CASE_COLUMNS, cluster_rows, estimate_metrics
-from dune_rl.statistics.paired_comparison import PairedComparison, compare_policies
+from dune_rl.statistics.measures import CASE_COLUMNS, cluster_rows, estimate_metrics, mean_of_known
+from dune_rl.statistics.paired_comparison import PairedComparison, compare_policies, require_same_cases
 
 
 @dataclass(frozen=True)
@@ -125,6 +125,23 @@ def compare_methods(
         shared &= {only.metric, only.per}
     found = compare_policies({name: select_metrics(rows, shared) for name, rows in results.items()})
     return [pair for pair in found if only is None or pair.measure.name == only.name]
+
+
+def average_methods(methods: Sequence[EvaluatedPolicy]) -> EvaluatedPolicy:
+    """A method whose metrics are means over several that ran the same episodes, such as seeds of training.
+
+    A metric that some have no value of is the mean over the others. Raises ValueError if their cases differ.
+    """
+    first, *others = methods
+    for other in others:
+        require_same_cases(first.rows, other.rows)
+    metrics = set.intersection(*(measured_names(method.rows) for method in methods))
+    rows = [
+        together[0] | {name: mean_of_known([row.get(name, math.nan) for row in together]) for name in metrics}
+        for together in zip(*(method.rows for method in methods), strict=True)
+    ]
+    runs = [run for method in methods for run in method.runs]
+    return EvaluatedPolicy(first.name, first.policy, rows, runs, first.cases)
 
 
 def _common_episodes(methods: Iterable[EvaluatedPolicy]) -> set[tuple[float, str]]:

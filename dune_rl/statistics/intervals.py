@@ -42,21 +42,22 @@ class Estimate:
 def estimate_proportion(successes: ArrayLike, clusters: ArrayLike | None = None) -> Estimate:
     """The share of true entries among those that are not NaN, with Wilson's interval.
 
-    It stays within [0, 1] and suits small n. With `clusters` it is the interval of n / d entries, by the
-    quantile of Student's t for the number of clusters. The design effect d, at least 1, is the variance
+    Entries between 0 and 1 are themselves shares: of several runs of one episode, which count as one. The
+    interval stays within [0, 1] and suits small n. With `clusters` it is the interval of n / d entries, by
+    the quantile of Student's t for the number of clusters. The design effect d, at least 1, is the variance
     between clusters by that of independent entries (Korn & Graubard 1998; Dean & Pagano 2015 on Wilson's form
     of it).
     """
     seen = np.asarray(successes, float)
     present = ~np.isnan(seen)
-    hits = seen[present] > 0.0
+    hits = np.minimum(seen[present], 1.0)
     clusters = None if clusters is None else np.asarray(clusters)[present]
     count, share = len(hits), float(hits.mean()) if len(hits) else np.nan
     if clusters is None:
         if not count:
             return Estimate(np.nan, np.nan, np.nan, 0)
-        interval = stats.binomtest(int(hits.sum()), count).proportion_ci(CONFIDENCE, method="wilson")
-        return Estimate(share, float(interval.low), float(interval.high), count, count)
+        low, high = _wilson_ends(share, count, float(stats.norm.ppf(0.5 + CONFIDENCE / 2)))
+        return Estimate(share, low, high, count, count)
     units = len(np.unique(clusters))
     if units < _LEAST_UNITS:
         return Estimate(share, np.nan, np.nan, count, units)

@@ -145,6 +145,15 @@ def test_what_is_unknown_is_no_success() -> None:
     assert math.isnan(estimate_proportion([np.nan]).value)
 
 
+def test_the_share_of_several_runs_of_an_episode_counts_as_one() -> None:
+    runs = np.array([[1.0, 1.0, 0.0, 0.0], [1.0, 0.0, 1.0, 0.0]])
+    found = estimate_proportion(runs.mean(axis=0))
+    assert found == estimate_proportion(runs[0])
+    assert found.low == pytest.approx(0.150, abs=1e-3) and found.count == 4
+    clusters = [0, 0, 1, 1]
+    assert estimate_proportion(runs.mean(axis=0), clusters) == estimate_proportion(runs[1], clusters)
+
+
 def test_a_ratio_to_nothing_is_unknown() -> None:
     assert math.isnan(estimate_ratio([1.0, 2.0], [0.0, 0.0]).value)
     assert math.isnan(estimate_ratio([], []).value)

@@ -1,14 +1,20 @@
 """The block `grid`: one measure of several methods on several sets."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from pydantic import Field
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.settings import Settings
-from dune_rl.metrics.catalogue import NOTHING, equation_of_p, format_difference, measure_of
-from dune_rl.reporting.comparison import EvaluatedPolicy, compare_methods, estimate_of, estimate_rows
+from dune_rl.metrics.catalogue import NOTHING, equation_of_p, format_difference, format_value, measure_of
+from dune_rl.reporting.comparison import (
+    EvaluatedPolicy,
+    average_methods,
+    compare_methods,
+    estimate_of,
+    estimate_rows,
+)
 from dune_rl.reporting.markdown.sources import BlockSources, SourceConf, markdown_table, percent_of
 from dune_rl.reporting.tables.table import estimate_cell
 from dune_rl.statistics.paired_comparison import PairedComparison, holm_adjusted
@@ -21,14 +27,15 @@ class GridConf(Settings):
 
     `rows` are titles, such as names of sets or of policies. `columns` are the sources of the cells by their
     titles; in the folder and in the policy of each, `{row}` stands for the title of the row. Where that
-    folder is missing, the cell says so.
+    folder is missing, the cell says so. Of several sources of a column, seeds of training on the same
+    episodes, the cell has the mean, with an interval for other sites, and then each.
     `differences` are further columns by their titles: the first minus the second of two columns on the same
     episodes, with its interval and p-value, adjusted by Holm's method over the rows.
     """
 
     measure: str
     rows: tuple[str, ...] = Field(min_length=1)
-    columns: dict[str, SourceConf] = Field(min_length=1)
+    columns: dict[str, SourceConf | tuple[SourceConf, ...]] = Field(min_length=1)
     differences: dict[str, tuple[str, str]] = Field(default_factory=dict)
     decimals: int | None = Field(default=None, ge=0, le=6)
     corner: str = "set"
@@ -40,32 +47,51 @@ def make_grid(conf: GridConf, sources: BlockSources) -> str:
     Raises ConfigError where a folder is there without the method or the measure, or where none is there, and
     where a difference is of columns that are not there or of other episodes.
     """
-    found: dict[str, dict[str, EvaluatedPolicy]] = {row: {} for row in conf.rows}
-    for row, methods in found.items():
+    seeds: dict[str, dict[str, list[EvaluatedPolicy]]] = {row: {} for row in conf.rows}
+    for row, columns in seeds.items():
         for title, source in conf.columns.items():
-            told = SourceConf(**{key: text.replace("{row}", row) for key, text in source if text is not None})
-            if (sources.beside / told.folder).exists():
-                methods[title] = sources.find_method(told)
-    if not any(found.values()):
+            told = [_of_row(each, row) for each in (source if isinstance(source, tuple) else (source,))]
+            if all((sources.beside / each.folder).exists() for each in told):
+                columns[title] = [sources.find_method(each) for each in told]
+    if not any(seeds.values()):
         raise ConfigError("the grid has no folder that is there")
+    found = {row: _averages(row, columns) for row, columns in seeds.items()}
     differences = [_differences(title, found, conf) for title in conf.differences]
     lines = [
         [
             row,
-            *(_grid_cell(methods.get(title), conf) for title in conf.columns),
+            *(_grid_cell(found[row].get(title), columns.get(title, []), conf) for title in conf.columns),
             *(texts.get(row, _MISSING) for texts in differences),
         ]
-        for row, methods in found.items()
+        for row, columns in seeds.items()
     ]
     return markdown_table([[conf.corner, *conf.columns, *conf.differences], *lines])
 
 
-def _grid_cell(method: EvaluatedPolicy | None, conf: GridConf) -> str:
+def _of_row(source: SourceConf, row: str) -> SourceConf:
+    return SourceConf(**{key: text.replace("{row}", row) for key, text in source if text is not None})
+
+
+def _averages(row: str, columns: Mapping[str, list[EvaluatedPolicy]]) -> dict[str, EvaluatedPolicy]:
+    try:
+        return {
+            title: average_methods(seeds) if len(seeds) > 1 else seeds[0] for title, seeds in columns.items()
+        }
+    except ValueError as error:
+        raise ConfigError(f"{row}: {error}") from None
+
+
+def _grid_cell(method: EvaluatedPolicy | None, seeds: Sequence[EvaluatedPolicy], conf: GridConf) -> str:
     if method is None:
         return _MISSING
-    found = estimate_of(conf.measure, str(method.runs[0].path), method.rows, estimate_rows(method.rows))
-    unit = percent_of(conf.measure)
-    return estimate_cell(measure_of(conf.measure), found, unit=unit, decimals=conf.decimals).plain
+    measure, unit = measure_of(conf.measure), percent_of(conf.measure)
+    found, *each = (
+        estimate_of(conf.measure, str(one.runs[0].path), one.rows, estimate_rows(one.rows))
+        for one in (method, *(seeds if len(seeds) > 1 else ()))
+    )
+    cell = estimate_cell(measure, found, unit=unit, decimals=conf.decimals).plain
+    figures = ", ".join(format_value(measure, one.value, conf.decimals) for one in each)
+    return f"{cell} of {figures}" if figures else cell
 
 
 def _differences(
