@@ -144,10 +144,12 @@ def test_a_grid_has_columns_of_differences(file: Path) -> None:
 
 
 def test_a_grid_has_the_mean_over_seeds(file: Path) -> None:
-    """Method x succeeds in the first three of four episodes, y in the first, and z in all."""
+    """That of seed 1 succeeds in the first three of four episodes, of seed 2 in the first, and z in all."""
+    write_evaluation(file.parent / "a_1", episode_rows("x_1", 4, share=0.75))
+    write_evaluation(file.parent / "a_2", episode_rows("x_2", 4, share=0.25))
     write_evaluation(file.parent / "b", episode_rows("z", 4, share=1.0))
-    columns = "columns:\n  seeds: [{folder: '{row}', policy: x}, {folder: '{row}', policy: y}]\n"
-    begin = "<!-- report: grid\nmeasure: SR\nrows: [a]\ndecimals: 1\n"
+    columns = "columns:\n  seeds: {folder: '{row}_{seed}', policy: 'x_{seed}'}\n"
+    begin = "<!-- report: grid\nmeasure: SR\nrows: [a]\ndecimals: 1\nseeds: [1, 2]\n"
     other = "  Z: {folder: b, policy: z}\ndifferences: {seeds - Z: [seeds, Z]}\n-->\n"
     file.write_text(f"{begin}{columns}{other}{END}\n")
     rewrite_file(file)
@@ -155,10 +157,10 @@ def test_a_grid_has_the_mean_over_seeds(file: Path) -> None:
     # Wilson's interval of 2 in 4, and exchanges of three episodes that differ: 2 of 8.
     assert row.startswith("| a | 50.0 % (15.0 to 85.0) of 75.0, 25.0 | 100.0 % (51.0 to 100.0) | ")
     assert "\N{MINUS SIGN}50.0 (" in row and row.endswith("), p = 0.25 |")
-    columns = columns.replace("'{row}', policy: y", "c")
-    write_evaluation(file.parent / "c", episode_rows("y", 3, share=1.0))
-    with pytest.raises(ConfigError, match="a: the two evaluations ran different episodes"):
-        rewrite_text(f"{begin}{columns}-->\n{END}\n", file)
+    write_evaluation(file.parent / "a_3", episode_rows("x_3", 3, share=1.0))
+    for seeds, words in (("[1, 3]", "a: the two evaluations ran different episodes"), ("[]", "no seeds")):
+        with pytest.raises(ConfigError, match=words):
+            rewrite_text(f"{begin.replace('[1, 2]', seeds)}{columns}-->\n{END}\n", file)
 
 
 def test_a_grid_has_a_row_for_each_policy(file: Path) -> None:

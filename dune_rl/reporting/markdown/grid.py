@@ -27,15 +27,16 @@ class GridConf(Settings):
 
     `rows` are titles, such as names of sets or of policies. `columns` are the sources of the cells by their
     titles; in the folder and in the policy of each, `{row}` stands for the title of the row. Where that
-    folder is missing, the cell says so. Of several sources of a column, seeds of training on the same
-    episodes, the cell has the mean, with an interval for other sites, and then each.
+    folder is missing, the cell says so. `{seed}` stands for one of the `seeds` of training after another: the
+    cell has the mean over them, on the same episodes, with an interval for other sites, and then each.
     `differences` are further columns by their titles: the first minus the second of two columns on the same
     episodes, with its interval and p-value, adjusted by Holm's method over the rows.
     """
 
     measure: str
     rows: tuple[str, ...] = Field(min_length=1)
-    columns: dict[str, SourceConf | tuple[SourceConf, ...]] = Field(min_length=1)
+    columns: dict[str, SourceConf] = Field(min_length=1)
+    seeds: tuple[int, ...] = ()
     differences: dict[str, tuple[str, str]] = Field(default_factory=dict)
     decimals: int | None = Field(default=None, ge=0, le=6)
     corner: str = "set"
@@ -50,7 +51,7 @@ def make_grid(conf: GridConf, sources: BlockSources) -> str:
     seeds: dict[str, dict[str, list[EvaluatedPolicy]]] = {row: {} for row in conf.rows}
     for row, columns in seeds.items():
         for title, source in conf.columns.items():
-            told = [_of_row(each, row) for each in (source if isinstance(source, tuple) else (source,))]
+            told = _sources_of(source, row, conf.seeds)
             if all((sources.beside / each.folder).exists() for each in told):
                 columns[title] = [sources.find_method(each) for each in told]
     if not any(seeds.values()):
@@ -68,8 +69,17 @@ def make_grid(conf: GridConf, sources: BlockSources) -> str:
     return markdown_table([[conf.corner, *conf.columns, *conf.differences], *lines])
 
 
-def _of_row(source: SourceConf, row: str) -> SourceConf:
-    return SourceConf(**{key: text.replace("{row}", row) for key, text in source if text is not None})
+def _sources_of(source: SourceConf, row: str, seeds: Sequence[int]) -> list[SourceConf]:
+    """The source of a row, or of each seed of it."""
+    texts = {key: text.replace("{row}", row) for key, text in source if text is not None}
+    if not any("{seed}" in text for text in texts.values()):
+        return [SourceConf(**texts)]
+    if not seeds:
+        raise ConfigError("a source has {seed}, and there are no seeds; name them: seeds: [1, 2, 3]")
+    return [
+        SourceConf(**{key: text.replace("{seed}", str(seed)) for key, text in texts.items()})
+        for seed in seeds
+    ]
 
 
 def _averages(row: str, columns: Mapping[str, list[EvaluatedPolicy]]) -> dict[str, EvaluatedPolicy]:
