@@ -93,7 +93,8 @@ def _add_method(comparison: Comparison, policy: str, rows: list[Row], run: Evalu
             known.runs.append(run)
             return
     ordered = sorted(rows, key=lambda row: (row["episode"], str(row["agent"])))
-    comparison.methods.append(EvaluatedPolicy(policy, policy, ordered, [run], comparison.cases.title))
+    cases = comparison.cases
+    comparison.methods.append(EvaluatedPolicy(policy, policy, ordered, [run], cases.title, cases.key))
 
 
 def _same_rows(first: Sequence[Row], second: Sequence[Row]) -> bool:

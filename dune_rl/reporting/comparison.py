@@ -10,12 +10,12 @@ from typing import Any
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.suggestions import closest
 from dune_rl.evaluation.columns import measured_columns
-from dune_rl.metrics.catalogue import Measure, measure_of
+from dune_rl.metrics.catalogue import Measure, measure_of, measures_of
 from dune_rl.reporting.inputs import EvaluationRun
 from dune_rl.reporting.rows import Row, is_number
-from dune_rl.statistics.intervals import Estimate
+from dune_rl.statistics.intervals import Estimate, as_shares
 from dune_rl.statistics.measures import CASE_COLUMNS, cluster_rows, estimate_metrics, mean_of_known
-from dune_rl.statistics.paired_comparison import PairedComparison, compare_policies, require_same_cases
+from dune_rl.statistics.paired_comparison import PairedComparison, compare_policies, have_same_cases
 
 
 @dataclass(frozen=True)
@@ -33,13 +33,17 @@ class Cases:
 
 @dataclass(eq=False)
 class EvaluatedPolicy:
-    """A policy on the cases of the title `cases`: its episodes, and the evaluations that they come from."""
+    """A policy on the cases of the title `cases`: its episodes, and the evaluations that they come from.
+
+    `key` is that of the cases.
+    """
 
     name: str
     policy: str
     rows: list[Row]
     runs: list[EvaluationRun] = field(default_factory=list)
     cases: str = ""
+    key: str = ""
 
     @property
     def run(self) -> EvaluationRun:
@@ -128,20 +132,24 @@ def compare_methods(
 
 
 def average_methods(methods: Sequence[EvaluatedPolicy]) -> EvaluatedPolicy:
-    """A method whose metrics are means over several that ran the same episodes, such as seeds of training.
+    """A method each of whose episodes has the mean metrics of several methods, such as seeds of training.
 
-    A metric that some have no value of is the mean over the others. Raises ValueError if their cases differ.
+    A metric that some have no value of in an episode is the mean over the others. Raises ValueError if their
+    cases differ.
     """
     first, *others = methods
-    for other in others:
-        require_same_cases(first.rows, other.rows)
-    metrics = set.intersection(*(measured_names(method.rows) for method in methods))
-    rows = [
-        together[0] | {name: mean_of_known([row.get(name, math.nan) for row in together]) for name in metrics}
-        for together in zip(*(method.rows for method in methods), strict=True)
-    ]
+    if any(one.key != first.key or not have_same_cases(first.rows, one.rows) for one in others):
+        raise ValueError("they ran different episodes, so that they have no mean")
+    names = sorted(set.union(*(measured_names(method.rows) for method in methods)))
+    shares = {measure.metric for measure in measures_of(names) if measure.is_share}
+    rows = [dict(row) for row in first.rows]
+    for name in names:
+        values = [[float(row.get(name, math.nan)) for row in method.rows] for method in methods]
+        known = as_shares(values) if name in shares else values
+        for row, together in zip(rows, zip(*known, strict=True), strict=True):
+            row[name] = mean_of_known(together)
     runs = [run for method in methods for run in method.runs]
-    return EvaluatedPolicy(first.name, first.policy, rows, runs, first.cases)
+    return EvaluatedPolicy(first.name, first.policy, rows, runs, first.cases, first.key)
 
 
 def _common_episodes(methods: Iterable[EvaluatedPolicy]) -> set[tuple[float, str]]:

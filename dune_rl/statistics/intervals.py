@@ -39,18 +39,23 @@ class Estimate:
     units: int = 0
 
 
+def as_shares(values: ArrayLike) -> Array:
+    """Entries of 0 and 1, and shares between; what counts something is 1 where there is any of it."""
+    return np.clip(np.asarray(values, float), 0.0, 1.0)
+
+
 def estimate_proportion(successes: ArrayLike, clusters: ArrayLike | None = None) -> Estimate:
     """The share of true entries among those that are not NaN, with Wilson's interval.
 
-    Entries between 0 and 1 are themselves shares: of several runs of one episode, which count as one. The
-    interval stays within [0, 1] and suits small n. With `clusters` it is the interval of n / d entries, by
-    the quantile of Student's t for the number of clusters. The design effect d, at least 1, is the variance
-    between clusters by that of independent entries (Korn & Graubard 1998; Dean & Pagano 2015 on Wilson's form
-    of it).
+    Entries between 0 and 1 are themselves shares: of several runs of one episode, which count as one, with
+    the variance of entries of 0 and 1; the interval is then too wide rather than too narrow. It stays within
+    [0, 1] and suits small n. With `clusters` it is the interval of n / d entries, by the quantile of
+    Student's t for the number of clusters. The design effect d, at least 1, is the variance between clusters
+    by that of independent entries (Korn & Graubard 1998; Dean & Pagano 2015 on Wilson's form of it).
     """
     seen = np.asarray(successes, float)
     present = ~np.isnan(seen)
-    hits = np.minimum(seen[present], 1.0)
+    hits = as_shares(seen[present])
     clusters = None if clusters is None else np.asarray(clusters)[present]
     count, share = len(hits), float(hits.mean()) if len(hits) else np.nan
     if clusters is None:
@@ -171,7 +176,9 @@ def _wilson_ends(share: float, count: float, quantile: float) -> tuple[float, fl
     square = quantile**2 / count
     centre = (share + square / 2) / (1 + square)
     half = quantile / (1 + square) * np.sqrt(share * (1 - share) / count + square / (4 * count))
-    return max(0.0, float(centre - half)), min(1.0, float(centre + half))
+    # Exact where rounding would miss it.
+    low = 0.0 if share == 0.0 else max(0.0, float(centre - half))
+    return low, 1.0 if share == 1.0 else min(1.0, float(centre + half))
 
 
 def _rare_event_interval(
@@ -210,10 +217,10 @@ def estimate_share_difference(a: ArrayLike, b: ArrayLike, clusters: ArrayLike | 
     """The share of true entries of `a` less that of `b`, paired, with an adjusted Wald interval.
 
     One discordant pair is added for each side (Bonett & Price 2012), so that a few or none of them give an
-    interval too. With `clusters`, the number of pairs is divided by the design effect, as for
-    `estimate_proportion`.
+    interval too; entries may be shares, as for `estimate_proportion`. With `clusters`, the number of pairs is
+    divided by the design effect, as for `estimate_proportion`.
     """
-    difference = np.asarray(a, bool).astype(float) - np.asarray(b, bool)
+    difference = as_shares(a) - as_shares(b)
     count = len(difference)
     if not count:
         return Estimate(np.nan, np.nan, np.nan, 0)
@@ -225,9 +232,9 @@ def estimate_share_difference(a: ArrayLike, b: ArrayLike, clusters: ArrayLike | 
             return Estimate(value, np.nan, np.nan, count, units)
         effective /= _design_effect(difference - value, float(difference.var()), clusters)
         quantile = float(stats.t.ppf(0.5 + CONFIDENCE / 2, units - 1))
-    first, second = (((difference == sign).mean() * effective + 1) / (effective + 2) for sign in (1.0, -1.0))
-    centre = first - second
-    half = quantile * np.sqrt((first + second - centre**2) / (effective + 2))
+    centre = value * effective / (effective + 2)
+    discordant = (float((difference**2).mean()) * effective + 2) / (effective + 2)
+    half = quantile * np.sqrt((discordant - centre**2) / (effective + 2))
     return Estimate(value, max(-1.0, float(centre - half)), min(1.0, float(centre + half)), count, units)
 
 

@@ -18,6 +18,7 @@ from dune_rl.geometry.arrays import Array
 from dune_rl.metrics.catalogue import Measure, measures_of
 from dune_rl.statistics.intervals import (
     Estimate,
+    as_shares,
     estimate_mean,
     estimate_ratio_difference,
     estimate_share_difference,
@@ -128,13 +129,13 @@ class PairedComparison:
     """One measure of two policies on the same episodes.
 
     `difference` is `first` minus `second`, with a 95 % interval; of means over the episodes in which both
-    have a value. `p_value` is of the exact McNemar test for shares, and of a permutation test for the rest,
-    and where a share is the mean of several runs of an episode. Where a site has several episodes, or an
-    episode several agents, both are over whole sites or episodes (`cluster_rows`), and shares have a
-    permutation test too. `adjusted_p` is the same by Holm's method over all pairs of policies, for this
-    measure alone. `effect` is the share of discordant pairs that `first` wins for shares (0.5: none), the
-    quotient of both for ratios of sums (1: none), and for means Cohen's d of paired samples (mean over
-    standard deviation of the differences; 0: none).
+    have a value. `p_value` is of the exact McNemar test for shares, and of a permutation test for the rest.
+    Where a site has several episodes, an episode several agents, or a share is the mean of several runs of an
+    episode, shares have a permutation test too; of sites or episodes as a whole (`cluster_rows`).
+    `adjusted_p` is the same by Holm's method over all pairs of policies, for this measure alone. `effect` is
+    the share of discordant pairs that `first` wins for shares (0.5: none), the quotient of both for ratios of
+    sums (1: none), and for means, also of several runs, Cohen's d of paired samples (mean over standard
+    deviation of the differences; 0: none).
     """
 
     measure: Measure
@@ -182,7 +183,8 @@ def holm_adjusted(p_values: Sequence[float]) -> list[float]:
 
 
 def _compare(measure: Measure, first: tuple[str, Rows], second: tuple[str, Rows]) -> PairedComparison:
-    require_same_cases(first[1], second[1])
+    if not have_same_cases(first[1], second[1]):
+        raise ValueError("the two evaluations ran different episodes, so they do not pair")
     clusters, _ = cluster_rows(first[1])
     a, b = (column(rows, measure.metric) for rows in (first[1], second[1]))
     if measure.per is not None:
@@ -196,23 +198,25 @@ def _compare(measure: Measure, first: tuple[str, Rows], second: tuple[str, Rows]
     a, b = a[both], b[both]
     if clusters is not None:
         clusters = np.unique(clusters[both], return_inverse=True)[1]
-    if measure.is_share and np.isin([a, b], (0.0, 1.0)).all():
-        test = mcnemar_test(a > 0, b > 0, clusters)
-        discordant = test.only_a + test.only_b
-        difference = estimate_share_difference(a > 0, b > 0, clusters)
-        p_value, effect = test.p_value, test.only_a / discordant if discordant else np.nan
+    if measure.is_share:
+        a, b = as_shares(a), as_shares(b)
+        difference = estimate_share_difference(a, b, clusters)
     else:
         difference = estimate_mean(a - b, clusters, are_counts=measure.are_counts, signed=True)
+    if measure.is_share and np.isin([a, b], (0.0, 1.0)).all():
+        test = mcnemar_test(a, b, clusters)
+        discordant = test.only_a + test.only_b
+        p_value, effect = test.p_value, test.only_a / discordant if discordant else np.nan
+    else:
         p_value, effect = sign_flip_test(a - b, clusters), _paired_d(a - b)
     if not len(a):
         p_value = np.nan
     return PairedComparison(measure, first[0], second[0], difference, float(p_value), float(effect))
 
 
-def require_same_cases(first: Rows, second: Rows) -> None:
-    """Raise ValueError unless two evaluations have the same episodes in the same order."""
-    if [_case(row) for row in first] != [_case(row) for row in second]:
-        raise ValueError("the two evaluations ran different episodes, so they do not pair")
+def have_same_cases(first: Rows, second: Rows) -> bool:
+    """Whether two evaluations have the same episodes in the same order."""
+    return [_case(row) for row in first] == [_case(row) for row in second]
 
 
 def _case(row: Mapping[str, Any]) -> tuple[object, ...]:

@@ -58,29 +58,41 @@ def test_the_bar_fits_the_terminal(width: int, activity: str) -> None:
     assert ("success in training 100 %" in last) == (width >= 150)
 
 
-def test_time_left_counts_frames_and_evaluations() -> None:
+def test_the_speed_is_known_35_s_after_the_second_mark() -> None:
     clock = Clock()
     meter = SpeedMeter(clock)
-    assert math.isnan(meter.seconds_left(100, 1))
     meter.mark(0, 0)
-    # The first batch takes long, and is no measure of a run.
+    # Until then processes start, and what a warm-up tells is learnt.
     clock.now += 45.0
-    meter.mark(4000, 10)
-    assert math.isnan(meter.seconds_left(100, 1))
-    # While processes start, the speed is no measure of a run, and an evaluation is no part of that time.
+    meter.mark(2000, 10)
+    clock.now += 34.0
+    meter.mark(19_000, 100)
+    assert math.isnan(meter.seconds_left(5000, 0))
+    clock.now += 1.0
+    meter.mark(19_500, 110)
+    assert meter.seconds_left(5000, 0) == pytest.approx(5000 / 500)
+    meter.restart()
+    assert math.isnan(meter.seconds_left(5000, 0))
+
+
+def test_time_left_counts_evaluations_which_are_no_part_of_the_speed() -> None:
+    clock = Clock()
+    meter = SpeedMeter(clock)
+    for frames in (0, 1000):
+        meter.mark(frames, 0)
+        clock.now += 2.0
     clock.now += 30.0
     meter.pause(evaluation_s=30.0)
-    clock.now += 16.0
-    meter.mark(4000, 10)
-    clock.now += 1.0
-    meter.mark(4000, 10)
+    meter.mark(1000, 0)
+    # 35 s have passed since the second mark, 30 of which were an evaluation.
+    clock.now += 3.0
+    meter.mark(2500, 0)
     assert math.isnan(meter.seconds_left(5000, 3))
-    clock.now += 18.0
-    meter.mark(13500, 90)
+    clock.now += 30.0
+    meter.mark(17_500, 90)
+    clock.now += 7.0
     meter.pause(evaluation_s=7.0)
     assert meter.seconds_left(5000, 3) == pytest.approx(5000 / 500 + 3 * 7.0)
-    meter.restart()
-    assert math.isnan(meter.seconds_left(5000, 3))
 
 
 def test_the_estimate_of_a_run_has_its_length_and_its_end() -> None:

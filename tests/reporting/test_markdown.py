@@ -155,10 +155,16 @@ def test_a_grid_has_the_mean_over_seeds(file: Path) -> None:
     rewrite_file(file)
     row = file.read_text().splitlines()[-2]
     # Wilson's interval of 2 in 4, and exchanges of three episodes that differ: 2 of 8.
-    assert row.startswith("| a | 50.0 % (15.0 to 85.0) of 75.0, 25.0 | 100.0 % (51.0 to 100.0) | ")
-    assert "\N{MINUS SIGN}50.0 (" in row and row.endswith("), p = 0.25 |")
+    assert row.startswith("| a | 50.0 % (15.0 to 85.0); 75.0, 25.0 | 100.0 % (51.0 to 100.0) | ")
+    # As of single runs that differ so, the interval of differences reaches beyond 0.
+    assert "\N{MINUS SIGN}50.0 (" in row and "to +" in row and row.endswith("), p = 0.25 |")
     write_evaluation(file.parent / "a_3", episode_rows("x_3", 3, share=1.0))
-    for seeds, words in (("[1, 3]", "a: the two evaluations ran different episodes"), ("[]", "no seeds")):
+    for seeds, words in (
+        ("[1, 3]", "the seeds of seeds, a: they ran different episodes"),
+        ("[1, 4]", "a_4 is not there, though that of another seed is"),
+        ("[1, 1]", "needs different seeds"),
+        ("[]", "needs different seeds"),
+    ):
         with pytest.raises(ConfigError, match=words):
             rewrite_text(f"{begin.replace('[1, 2]', seeds)}{columns}-->\n{END}\n", file)
 

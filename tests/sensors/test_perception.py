@@ -357,7 +357,7 @@ def test_way_left_avoids_where_a_walker_was_tracked() -> None:
             simulation.step({"rover": np.zeros((1, 1, 2)), "walker": np.array([[[speed, 0.0]]])})
         ways.append(readings(simulation)["way_left"].reshape(3, 16))
         simulation.close()
-    # Straight on, 2.4 m ahead, the trail is behind: as near as before, and a way through it dearer.
+    # From 2.4 m ahead the way is as before; that from here leads through the trail, some 0.8 m at 2 a metre.
     assert ways[0][2, 8] == pytest.approx(-2.4, abs=0.2)
     assert ways[1][2, 8] < ways[0][2, 8] - 0.8
 

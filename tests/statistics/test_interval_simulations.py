@@ -5,7 +5,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from dune_rl.statistics.intervals import Estimate, estimate_mean, estimate_proportion
+from dune_rl.statistics.intervals import (
+    Estimate,
+    estimate_mean,
+    estimate_proportion,
+    estimate_share_difference,
+)
 from dune_rl.statistics.paired_comparison import mcnemar_test
 
 pytestmark = pytest.mark.slow
@@ -39,6 +44,16 @@ def test_coverage_of_shares(correlation: float, as_episodes: float, as_sites: fl
     of_episodes = coverage(0.8, lambda random: estimate_proportion(shares(random, correlation)))
     assert of_sites == pytest.approx(as_sites, abs=NEAR)
     assert of_episodes == pytest.approx(as_episodes, abs=NEAR)
+
+
+@pytest.mark.parametrize("runs", [1, 3])
+def test_coverage_of_differences_of_means_of_three_runs(runs: int) -> None:
+    def estimate(random: Random) -> Estimate:
+        of_site = np.repeat(random.beta(19.0, 1.0, SITES), EACH)
+        both = (random.random((number, SITES * EACH)) < of_site for number in (3, runs))
+        return estimate_share_difference(*(successes.mean(axis=0) for successes in both), OF_SITE)
+
+    assert 0.95 <= coverage(0.0, estimate) <= 1.0
 
 
 @pytest.mark.parametrize(("spread", "as_episodes"), [(0.5, 0.10), (1.0, 0.15)])

@@ -200,6 +200,18 @@ def test_a_difference_of_shares_without_discordant_pairs_has_an_interval() -> No
     assert (estimate.low, estimate.high) == pytest.approx((-0.46195, 0.46195), abs=1e-4)
 
 
+def test_a_difference_of_shares_of_several_runs_is_between_those_of_single_ones() -> None:
+    runs, other = np.array([[1.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]]), np.array([0.0, 0.0, 0.0, 1.0])
+    single = [estimate_share_difference(run, other) for run in runs]
+    mean = estimate_share_difference(runs.mean(axis=0), other)
+    assert mean.value == pytest.approx(np.mean([one.value for one in single]))
+    # (1 + 0.5 - 1 + 0) / 6, and 1.96 sqrt(((1 + 0.25 + 1 + 2) / 6 - (0.5 / 6)^2) / 6).
+    assert (mean.low + mean.high) / 2 == pytest.approx(0.5 / 6)
+    assert mean.high - mean.low == pytest.approx(
+        2 * 1.96 * np.sqrt((4.25 / 6 - (0.5 / 6) ** 2) / 6), abs=1e-3
+    )
+
+
 def test_a_difference_of_ratios_is_that_of_both_sums() -> None:
     estimate = estimate_ratio_difference(([10.0, 30.0], [1.0, 3.0]), ([8.0, 4.0], [1.0, 2.0]))
     assert estimate.value == pytest.approx(10.0 - 4.0)

@@ -267,9 +267,8 @@ class SpeedMeter:
             self.latest = (frames - frames_then) / span, (updates - updates_then) / span
             self._is_known |= now - self._begun_s >= _SETTLED_S
         if math.isnan(self._begun_s) and len(self._marks) > 1:
-            # The first batch also waits for processes to start and for what the warm-up teaches at once.
+            # Until the second mark processes may still start, and what a warm-up tells is learnt at once.
             self._begun_s = now
-            self._marks.popleft()
         return self.latest
 
     def pause(self, evaluation_s: float) -> None:

@@ -27,8 +27,9 @@ class GridConf(Settings):
 
     `rows` are titles, such as names of sets or of policies. `columns` are the sources of the cells by their
     titles; in the folder and in the policy of each, `{row}` stands for the title of the row. Where that
-    folder is missing, the cell says so. `{seed}` stands for one of the `seeds` of training after another: the
-    cell has the mean over them, on the same episodes, with an interval for other sites, and then each.
+    folder is missing, the cell says so. A source with `{seed}` is read for each of the `seeds` of training:
+    metrics of an episode are averaged over these policies, and the cell has the measure of that, with an
+    interval for other sites or episodes and the same policies, and then the figure of each.
     `differences` are further columns by their titles: the first minus the second of two columns on the same
     episodes, with its interval and p-value, adjusted by Holm's method over the rows.
     """
@@ -51,10 +52,8 @@ def make_grid(conf: GridConf, sources: BlockSources) -> str:
     seeds: dict[str, dict[str, list[EvaluatedPolicy]]] = {row: {} for row in conf.rows}
     for row, columns in seeds.items():
         for title, source in conf.columns.items():
-            told = _sources_of(source, row, conf.seeds)
-            if all((sources.beside / each.folder).exists() for each in told):
-                columns[title] = [sources.find_method(each) for each in told]
-    if not any(seeds.values()):
+            columns[title] = _find_seeds(_sources_of(source, row, conf.seeds), sources)
+    if not any(methods for columns in seeds.values() for methods in columns.values()):
         raise ConfigError("the grid has no folder that is there")
     found = {row: _averages(row, columns) for row, columns in seeds.items()}
     differences = [_differences(title, found, conf) for title in conf.differences]
@@ -74,21 +73,35 @@ def _sources_of(source: SourceConf, row: str, seeds: Sequence[int]) -> list[Sour
     texts = {key: text.replace("{row}", row) for key, text in source if text is not None}
     if not any("{seed}" in text for text in texts.values()):
         return [SourceConf(**texts)]
-    if not seeds:
-        raise ConfigError("a source has {seed}, and there are no seeds; name them: seeds: [1, 2, 3]")
+    if len({*seeds}) < max(len(seeds), 1):
+        raise ConfigError(
+            f"a source with {{seed}} needs different seeds, seeds: [1, 2, 3] (got {list(seeds)})"
+        )
     return [
         SourceConf(**{key: text.replace("{seed}", str(seed)) for key, text in texts.items()})
         for seed in seeds
     ]
 
 
+def _find_seeds(told: Sequence[SourceConf], sources: BlockSources) -> list[EvaluatedPolicy]:
+    """The methods of the sources; none where no folder is there. Raises ConfigError where only some are."""
+    missing = [each.folder for each in told if not (sources.beside / each.folder).exists()]
+    if len(missing) == len(told):
+        return []
+    if missing:
+        raise ConfigError(f"{missing[0]} is not there, though that of another seed is")
+    return [sources.find_method(each) for each in told]
+
+
 def _averages(row: str, columns: Mapping[str, list[EvaluatedPolicy]]) -> dict[str, EvaluatedPolicy]:
-    try:
-        return {
-            title: average_methods(seeds) if len(seeds) > 1 else seeds[0] for title, seeds in columns.items()
-        }
-    except ValueError as error:
-        raise ConfigError(f"{row}: {error}") from None
+    found = {}
+    for title, seeds in columns.items():
+        if seeds:
+            try:
+                found[title] = average_methods(seeds) if len(seeds) > 1 else seeds[0]
+            except ValueError as error:
+                raise ConfigError(f"the seeds of {title}, {row}: {error}") from None
+    return found
 
 
 def _grid_cell(method: EvaluatedPolicy | None, seeds: Sequence[EvaluatedPolicy], conf: GridConf) -> str:
@@ -101,7 +114,7 @@ def _grid_cell(method: EvaluatedPolicy | None, seeds: Sequence[EvaluatedPolicy],
     )
     cell = estimate_cell(measure, found, unit=unit, decimals=conf.decimals).plain
     figures = ", ".join(format_value(measure, one.value, conf.decimals) for one in each)
-    return f"{cell} of {figures}" if figures else cell
+    return f"{cell}; {figures}" if figures else cell
 
 
 def _differences(
@@ -117,9 +130,14 @@ def _differences(
         if methods.keys() >= {*columns}:
             try:
                 both = {column: methods[column] for column in columns}
-                (pairs[row],) = compare_methods(both, measure_of(conf.measure))
+                compared = compare_methods(both, measure_of(conf.measure))
             except ValueError as error:
                 raise ConfigError(f"differences: {title}: {row}: {error}") from None
+            if not compared:
+                raise ConfigError(
+                    f"differences: {title}: {row}: no episode has a value of {conf.measure} by both"
+                )
+            pairs[row] = compared[0]
     adjusted = holm_adjusted([pair.p_value for pair in pairs.values()])
     return {row: _difference(pairs[row], p, conf) for row, p in zip(pairs, adjusted, strict=True)}
 

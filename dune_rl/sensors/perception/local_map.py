@@ -9,7 +9,6 @@ from dune_rl.geometry.compiled import compile_function
 from dune_rl.sensors.perception.ways import (
     CELL_M,
     CELLS,
-    TRAFFIC_CELLS,
     box_around,
     costs_of_cells,
     solve_ways,
@@ -23,6 +22,8 @@ _FARTHEST_M = 5.0
 _HIT, _PASS, _MOST = 2.0, 0.4, 20.0
 # That of what the body has met, which no beam takes back.
 _MET = 100.0
+# Something that has moved was within so many cells of its middle.
+_TRAFFIC_CELLS = 3.2
 # Low obstacles this near to the body are no longer there if they are not seen again [m].
 _CLEARED_M = 3.0
 # Ground that is no obstacle, though a scan met it, has no step and so many known cells beside it, of 8.
@@ -79,14 +80,14 @@ def _enter_scan(
 @compile_function
 def _enter_movers(pose: Any, movers: Any, origin: Any, traffic: Any) -> None:
     """Enter where `movers` (T, 4: x, y [m], velocity) are, in the body's frame, into `traffic`."""
-    cos, sin, reach = np.cos(pose[2]), np.sin(pose[2]), np.int64(TRAFFIC_CELLS)
+    cos, sin, reach = np.cos(pose[2]), np.sin(pose[2]), np.int64(_TRAFFIC_CELLS)
     for mover in range(len(movers)):
         ahead, left = movers[mover, 0], movers[mover, 1]
         column = np.int64(np.floor((pose[0] + cos * ahead - sin * left) / CELL_M)) - origin[0]
         row = np.int64(np.floor((pose[1] + sin * ahead + cos * left) / CELL_M)) - origin[1]
         for y in range(max(row - reach, 0), min(row + reach + 1, CELLS)):
             for x in range(max(column - reach, 0), min(column + reach + 1, CELLS)):
-                if (y - row) ** 2 + (x - column) ** 2 <= TRAFFIC_CELLS**2:
+                if (y - row) ** 2 + (x - column) ** 2 <= _TRAFFIC_CELLS**2:
                     traffic[y, x] = True
 
 

@@ -13,8 +13,8 @@ _OCCUPIED = 3.0
 # A metre costs 1, and more within so many cells of obstacles, and of low ones, some of which are none.
 _AT_CELLS, _BESIDE_CELLS = 2.0, 4.25
 _COSTS, _LOW_COSTS = (20.0, 2.0), (6.0, 1.0)
-# A metre costs so much more within so many cells of where something has moved: it may come back.
-_TRAFFIC_COST, TRAFFIC_CELLS = 2.0, 3.2
+# A metre costs so much more where something has moved: it may come back.
+_TRAFFIC_COST = 2.0
 # Sweeps go on until no way changes by more than this [m], or for so many rounds.
 _LEAST_CHANGE_M, _MOST_ROUNDS = 0.01, 8
 _FAR = 1e6
