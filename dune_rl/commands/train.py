@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import shutil
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -28,7 +29,7 @@ from dune_rl.config.schema import Conf, EnvConf
 from dune_rl.core import paths
 from dune_rl.core.errors import CheckpointError, ConfigError, DuneError
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE, find_checkpoint_file, read_checkpoint_file
-from dune_rl.learning.run.locks import check_unused, reserve_cores
+from dune_rl.learning.run.locks import LOCK_FILE, check_unused, reserve_cores
 from dune_rl.robots.settings import RobotSettings
 
 if TYPE_CHECKING:
@@ -109,11 +110,18 @@ def _job(config: DictConfig) -> float | None:
         if message is None:
             raise
         if engine.mode is not RunMode.MULTIRUN:
+            _remove_if_unused(Path(engine.runtime.output_dir))
             command_line.exit_with_error(message)
         # The other jobs of the sweep go on; Hydra raises this one's error after the last.
         command_line.print_error(f"job {engine.job.num} failed: {message}")
         raise command_line.ReportedError from error
     return None
+
+
+def _remove_if_unused(run_dir: Path) -> None:
+    """Remove the folder of a run that was refused, in which there are Hydra's settings and our lock alone."""
+    if {entry.name for entry in run_dir.iterdir()} <= {".hydra", LOCK_FILE}:
+        shutil.rmtree(run_dir)
 
 
 @contextmanager

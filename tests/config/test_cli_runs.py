@@ -182,6 +182,13 @@ def test_a_device_that_is_absent_leaves_nothing_behind(
     assert not list(folder.iterdir())
 
 
+def test_a_refused_run_leaves_no_folder(call: Call, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    other = "+agents.other={body: truck, controller: dwa}"
+    assert call(train.main, "+world=flat", other, "run_dir=run") == 2
+    assert "dwa cannot act for the group other" in capsys.readouterr().err
+    assert not list(folder.iterdir())
+
+
 @pytest.mark.slow
 def test_a_sweep_gives_each_job_its_folder_and_outlives_a_failure(
     call: Call, folder: Path, capsys: pytest.CaptureFixture[str]

@@ -11,7 +11,7 @@ from dune_rl.core.errors import CheckpointError
 from dune_rl.core.files import try_lock
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE
 
-_LOCK_FILE = ".lock"
+LOCK_FILE = ".lock"
 # Files of a run, which may have no checkpoint: it was cut off early, or published without it.
 _OF_A_RUN = ("events.out.tfevents.*", "metrics.csv", "policy_*.pt", "replay-*")
 _POLL_S = 0.2
@@ -38,15 +38,15 @@ class RunLock:
 
 def _lock(folder: Path) -> int | None:
     while True:
-        handle = os.open(folder / _LOCK_FILE, os.O_CREAT | os.O_RDWR, 0o644)
+        handle = os.open(folder / LOCK_FILE, os.O_CREAT | os.O_RDWR, 0o644)
         is_locked = try_lock(handle)
         # Who had it before may have removed the file since it was opened here.
         with contextlib.suppress(FileNotFoundError):
-            if is_locked and os.fstat(handle).st_ino == os.stat(folder / _LOCK_FILE).st_ino:
+            if is_locked and os.fstat(handle).st_ino == os.stat(folder / LOCK_FILE).st_ino:
                 return handle
         os.close(handle)
         if is_locked is None:
-            (folder / _LOCK_FILE).unlink(missing_ok=True)
+            (folder / LOCK_FILE).unlink(missing_ok=True)
             return None
         if not is_locked:
             raise CheckpointError(
@@ -60,7 +60,7 @@ def _unlock(handle: int, folder: Path, owner: int) -> None:
         # After a fork, the lock still belongs to the parent.
         return
     with contextlib.suppress(OSError):
-        (folder / _LOCK_FILE).unlink()
+        (folder / LOCK_FILE).unlink()
     os.close(handle)
 
 
@@ -73,7 +73,7 @@ def check_unused(folder: Path) -> None:
         raise CheckpointError(
             f"{folder} already holds a run; continue it with resume={folder}, or choose another run_dir"
         )
-    if (folder / _LOCK_FILE).exists():
+    if (folder / LOCK_FILE).exists():
         RunLock(folder).release()
     left = next((file for pattern in _OF_A_RUN for file in folder.glob(pattern)), None)
     if left is not None:
