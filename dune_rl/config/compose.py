@@ -282,6 +282,10 @@ def _overlay_saved(
     chosen = {override.key_or_group for override in request.groups}
     kept = {name: saved[name] for name in names if name in saved and name not in chosen}
     overlaid = OmegaConf.create({**to_plain(config), **kept})
+    if "physics" in chosen:
+        # On another engine, too, a policy decides as often as it learned to.
+        repeat = saved.get("physics", {}).get("action_repeat", 1)
+        OmegaConf.update(overlaid, "physics.action_repeat", repeat, force_add=True)
     for override in request.without_group_changes().values:
         if not override.is_delete():
             key = override.key_or_group

@@ -145,7 +145,7 @@ def test_the_table_of_failures_is_that_of_its_files() -> None:
         name, *shown = [cell.strip() for cell in line.split("|")[1:-1]]
         failed = [
             row
-            for seed in (1, 2, 3)
+            for seed in ((1,) if "-site-" in name else (1, 2, 3))
             for row in csv.DictReader(
                 (folder / "evaluations" / f"all_worlds_{seed}" / name / "episodes.csv").open()
             )

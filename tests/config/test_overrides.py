@@ -199,6 +199,13 @@ def test_saved_settings_stay_unless_asked() -> None:
     assert (other.world, other.actors, other.physics.control_hz) == (FlatConf(), {}, 10)
 
 
+@pytest.mark.parametrize(("words", "held"), [([], 4), (["physics.action_repeat=2"], 2)])
+def test_another_engine_keeps_how_often_a_policy_decides(words: list[str], held: int) -> None:
+    saved = compose(Conf, ["+world=flat", "physics.action_repeat=4"]).model_dump(mode="json")
+    conf = compose(EvaluateConf, ["checkpoint=x", "physics=dart", *words], (), saved)
+    assert (conf.physics.backend, conf.physics.action_repeat) == ("dart", held)
+
+
 def test_saved_settings_share_the_messages() -> None:
     saved = compose(Conf, ["+world=flat"]).model_dump(mode="json")
     with pytest.raises(ConfigError) as caught:
