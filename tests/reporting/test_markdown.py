@@ -167,6 +167,8 @@ def test_a_grid_has_the_mean_over_seeds(file: Path) -> None:
     ):
         with pytest.raises(ConfigError, match=words):
             rewrite_text(f"{begin.replace('[1, 2]', seeds)}{columns}-->\n{END}\n", file)
+    with pytest.raises(ConfigError, match="no column has {seed}"):
+        rewrite_text(f"{begin}{columns.replace('_{seed}', '_1')}-->\n{END}\n", file)
 
 
 def test_a_grid_has_a_row_for_each_policy(file: Path) -> None:

@@ -49,6 +49,8 @@ def make_grid(conf: GridConf, sources: BlockSources) -> str:
     Raises ConfigError where a folder is there without the method or the measure, or where none is there, and
     where a difference is of columns that are not there or of other episodes.
     """
+    if conf.seeds and "{seed}" not in str(conf.columns):
+        raise ConfigError("seeds are named, and no column has {seed} in its folder or policy")
     seeds: dict[str, dict[str, list[EvaluatedPolicy]]] = {row: {} for row in conf.rows}
     for row, columns in seeds.items():
         for title, source in conf.columns.items():

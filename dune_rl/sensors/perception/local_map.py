@@ -79,7 +79,10 @@ def _enter_scan(
 
 @compile_function
 def _enter_movers(pose: Any, movers: Any, origin: Any, traffic: Any) -> None:
-    """Enter where `movers` (T, 4: x, y [m], velocity) are, in the body's frame, into `traffic`."""
+    """Enter where `movers` (T, 4: x, y [m], velocity [m/s]) are, in the body's frame, into a map.
+
+    `traffic` (CELLS, CELLS) is true where they have been.
+    """
     cos, sin, reach = np.cos(pose[2]), np.sin(pose[2]), np.int64(_TRAFFIC_CELLS)
     for mover in range(len(movers)):
         ahead, left = movers[mover, 0], movers[mover, 1]
