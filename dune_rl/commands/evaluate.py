@@ -107,7 +107,7 @@ def _evaluate(conf: EvaluateConf) -> None:
 
     plan = EvaluationPlan.of_settings(conf)
     out = Path(conf.out) if conf.out else default_folder(plan)
-    _check_writable(out)
+    check_writable(out)
     check_free(out, overwrite=conf.overwrite)
     # Before the folder is made: a policy that does not fit leaves nothing behind.
     prepared = prepare_run(plan)
@@ -153,7 +153,7 @@ def _cross_play(conf: EvaluateConf, config_dirs: Sequence[str]) -> None:
 
     populations = find_populations(conf, config_dirs)
     out = Path(conf.out) if conf.out else default_folder(EvaluationPlan.of_settings(conf))
-    _check_writable(out)
+    check_writable(out)
     begin_cross_play(conf, populations, out, overwrite=conf.overwrite)
     run_cross_play(out, command_line.make_console())
 
@@ -198,7 +198,8 @@ def default_folder(plan: "EvaluationPlan") -> Path:
     return unused_folder(Path("evaluations"), datetime.now(), [plan.sources[0].name, cases, *protocol])
 
 
-def _check_writable(out: Path) -> None:
+def check_writable(out: Path) -> None:
+    """Raise ConfigError where a folder of results cannot be made."""
     # Before the episodes are run, not after.
     parent = next((each for each in (out, *out.parents) if each.exists()), Path())
     if not parent.is_dir():

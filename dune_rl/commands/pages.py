@@ -130,6 +130,26 @@ PAGES: Mapping[str, HelpPage] = {
             "seeds and settings give every policy the same episodes, so that results pair."
         ),
     ),
+    "forecast": HelpPage(
+        "Learn where the agents will be that a robot tracks.",
+        (
+            ("python -m dune_rl.forecast +world=mixed", "among eight walkers, on sites of training"),
+            ("python -m dune_rl.forecast +world=inspection robot=leo_rover", "of another robot"),
+        ),
+        (
+            ("policy=NAME", "the driver: dwa, planner, go_to_goal, ..."),
+            ("episodes=N", "that it drives"),
+            ("scenes=N", "episodes side by side"),
+            ("seed=N", "of the episodes and of the fit"),
+            ("updates=N", "of the fit"),
+            ("held_out=F", "share of the tracks, at the end, on which errors are measured"),
+            ("out=FOLDER", "of the forecast; else forecasts/DATE_WORLD"),
+        ),
+        (
+            "To use it, give sensors.agent_tracks.forecast=FOLDER/forecast.npz to train, evaluate\n"
+            "and view. sensors.agent_tracks.forecast=persons is that of the package."
+        ),
+    ),
     "report": HelpPage(
         "Make a report of training runs, evaluations and sweeps: a page, figures and tables.",
         (

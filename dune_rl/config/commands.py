@@ -81,6 +81,19 @@ class ViewConf(EnvConf):
         return self
 
 
+class ForecastConf(EnvConf):
+    """The learning of a motion forecast from `episodes` that `policy` drives."""
+
+    policy: BuiltInPolicy = "dwa"
+    episodes: int = Field(450, ge=1)
+    scenes: int = Field(16, ge=1, le=8_192)
+    seed: int = Field(0, ge=0)
+    held_out: float = Field(0.15, gt=0.0, lt=1.0)
+    updates: int = Field(20_000, ge=2)
+    batch_size: int = Field(512, ge=1, le=1_000_000)
+    out: str | None = Field(None, min_length=1)
+
+
 def _steps_kept(value: object) -> object:
     if isinstance(value, bool) or (isinstance(value, int) and value >= 1):
         return value

@@ -13,7 +13,7 @@ from typing_extensions import TypeVar
 
 from dune_rl.config import group_options, shorthands
 from dune_rl.config.checks import unique_lines, validate
-from dune_rl.config.commands import BenchmarkConf, EvaluateConf, ViewConf
+from dune_rl.config.commands import BenchmarkConf, EvaluateConf, ForecastConf, ViewConf
 from dune_rl.config.hydra_session import (
     WHOLE_SETTINGS,
     compose_config,
@@ -35,6 +35,7 @@ Model = TypeVar("Model", bound=EnvConf, default=EnvConf)
 _FILES: Mapping[type[EnvConf], str] = {
     Conf: "train",
     EvaluateConf: "evaluate",
+    ForecastConf: "forecast",
     ViewConf: "view",
     BenchmarkConf: "benchmark",
 }

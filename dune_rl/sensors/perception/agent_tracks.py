@@ -11,6 +11,7 @@ from dune_rl.geometry.frames import wrap_angle
 from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.imu import YAW
 from dune_rl.sensors.lidar import LidarConf, LidarSensor, beam_angles
+from dune_rl.sensors.perception.motion_forecast import MotionForecast, read_forecast
 from dune_rl.sensors.perception.scan_tracks import ScanTracker
 from dune_rl.sensors.sensor import Bounds, Reading, mount_position
 from dune_rl.sensors.settings import SensorSettings
@@ -37,6 +38,11 @@ class AgentTracksConf(SensorSettings):
     realism: None = Field(None, description="none of its own: its LiDAR's")
     lidar: str = Field("lidar", description="name of the LiDAR")
     count: int = Field(3, ge=1, le=16, description="nearest tracks in the reading")
+    forecast: str | None = Field(
+        None,
+        description="a learnt forecast: NAME of assets/forecasts, or FILE.npz of python -m dune_rl.forecast; "
+        "null: what has moved is an agent, of constant velocity",
+    )
     reach_m: float = Field(8.0, gt=0.0, le=100.0, description="distance of the farthest track in it [m]")
 
 
@@ -69,6 +75,12 @@ class AgentTracks:
         self.mount = mount_position(self.lidar.mount_b)[:2]
         self._ahead = np.stack([np.cos(self.bearings), np.sin(self.bearings)], axis=-1)
         self.tracker = ScanTracker(context.num_rows, beams, self.mount)
+        self._forecast: MotionForecast | None = None
+        if conf.forecast is not None:
+            self._forecast = read_forecast(conf.forecast, context.step_s)
+        # Where what moves will be after AHEAD_S, (N, T, A, 2) [m] in the frame of the odometry; None without
+        # a forecast.
+        self.places_ahead: Array | None = None
         self._velocities = np.zeros((context.num_rows, segments, 2))
         self.ranges = np.zeros((context.num_rows, segments))
         self.sees = self.moves = np.zeros((context.num_rows, segments), bool)
@@ -105,6 +117,8 @@ class AgentTracks:
         twists = np.column_stack([self._velocity()[:, 0].astype(np.float64), turned / self._step_s])
         sees = beams < self.lidar.range_m - _NO_RETURN_M
         self.tracker.update(beams, sees, twists, self.goals(), self._step_s)
+        if self._forecast is not None:
+            self.places_ahead = self._forecast.revise(self.tracker)
         # Of the beam that is the segment's.
         shape = len(beams), len(self.bearings), -1
         nearest = beams.reshape(shape).argmin(axis=2)[:, :, None, None]

@@ -14,6 +14,7 @@ from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.lidar import beam_angles
 from dune_rl.sensors.perception.dynamic_window import (
     RESPONSE,
+    STEP_S,
     STEPS,
     Situation,
     predict_actors,
@@ -21,6 +22,7 @@ from dune_rl.sensors.perception.dynamic_window import (
     window_vehicle,
 )
 from dune_rl.sensors.perception.local_map import no_low_obstacles
+from dune_rl.sensors.perception.motion_forecast import AHEAD_S
 from dune_rl.sensors.perception.stuck_recovery import StuckRecovery
 from dune_rl.sensors.perception.way_left import WayLeft
 from dune_rl.sensors.perception.ways import way_left
@@ -43,6 +45,10 @@ _MOVER_RADIUS_M, _NOWHERE_M = 0.35, 1e4
 _WAITS_M = 1.0
 # Room that commands should keep beside obstacles [m].
 _MARGIN_M = 0.1
+# Shares (STEPS, 1 + A) of where what moves is, and will be after AHEAD_S, in its places at the steps.
+_BETWEEN = np.column_stack(
+    [np.interp(STEP_S * np.arange(1, STEPS + 1), (0.0, *AHEAD_S), each) for each in np.eye(1 + len(AHEAD_S))]
+)
 
 
 class CommandCostsConf(SensorSettings):
@@ -153,13 +159,25 @@ class CommandCosts(VectorSensor):
             self._waypoints, self._clearances,
         )  # fmt: skip
         movers = self._movers(poses)
-        ahead = np.empty((num, STEPS, movers.shape[1], 2))
-        predict_actors(movers, ahead)
+        ahead = self._predict(movers)
         twists = np.ascontiguousarray(self._velocity()[:, :2], np.float64)
         return Situation(
             poses, twists, self._grids, self._fields, self._waypoints, self._clearances, movers, ahead,
             goals, self._limits, RESPONSE, self._recovery.recovering,
         )  # fmt: skip
+
+    def _predict(self, movers: Array) -> Array:
+        """Places (N, T, K, 2) of `movers` (N, K, 6) in the steps of the look ahead."""
+        told = self._tracks.places_ahead
+        if told is None:
+            ahead = np.empty((len(movers), STEPS, movers.shape[1], 2))
+            predict_actors(movers, ahead)
+            return ahead
+        there = movers[..., :2] < _NOWHERE_M
+        known = np.where(there[:, :, None], told[:, : movers.shape[1]], _NOWHERE_M)
+        known = np.concatenate([movers[:, :, None, :2], known], axis=2)
+        found: Array = np.einsum("ta,nkad->ntkd", _BETWEEN, known)
+        return found
 
     def _movers(self, poses: Array) -> Array:
         """What moves, in the frame of the odometry, as `predict_actors` takes it."""

@@ -25,8 +25,9 @@ _ROUNDS, _DAMPING = 3, 0.05
 # Standard deviation of a centre [m]; and in gaps between two rays, where one ray or more meet the object.
 _PLACE_M = 0.02
 _ONE_RAY, _MORE_RAYS = 0.5, 0.15
-# Columns of an object: centre x, y, standard deviation [m].
-CLUSTER_COLUMNS = 3
+# Columns of an object: centre x, y, standard deviation [m], how many rays meet it, and the share of these
+# that meet it where earlier scans saw past.
+CLUSTER_COLUMNS = 5
 
 
 @compile_function
@@ -96,8 +97,8 @@ def find_clusters(
 
     All is in the vehicle's frame. `ranges` (S,) [m] are those of the rays, `points` (S, 2) [m] where they
     end, `sees` (S,) which have a return, `was` (S,) is by `compare_with_past`. An object stands before its
-    background, or where nothing was. `found` (S, 3) gets each one's centre and its standard deviation [m],
-    `members` (S,) the object of each ray, or -1.
+    background, or where nothing was. `found` (S, columns) gets each one, `members` (S,) the object of
+    each ray, or -1.
     """
     rays, count = len(ranges), 0
     is_circle = _is_circle(rays, per_rad)
@@ -137,6 +138,7 @@ def find_clusters(
         gap = mean / per_rad
         found[count, 0], found[count, 1] = x, y
         found[count, 2] = _PLACE_M + miss + gap * (_ONE_RAY if size == 1 else _MORE_RAYS)
+        found[count, 3], found[count, 4] = size, free / size
         count += 1
     return count
 

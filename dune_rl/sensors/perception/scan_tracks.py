@@ -20,8 +20,11 @@ _KEEP_S = 0.6
 _LEAST_WAY_M = 0.08
 _SLOWEST_MPS = 0.35
 # Columns of a track: x, y, vx, vy [m, m/s, odometry frame], variances of place and speed and their
-# covariance, time since it was seen [s], x and y where it began.
-_COLUMNS = 10
+# covariance, time since it was seen [s], x and y where it began, time since then [s].
+TRACK_COLUMNS = 11
+# A track's history: of each of so many scans, the latest first, whether it was seen, and the columns of its
+# cluster.
+HISTORY_STEPS, HISTORY_COLUMNS = 20, 1 + CLUSTER_COLUMNS
 # A scan is compared with those of so long ago [s].
 _PAST_S = (0.6, 1.0)
 # Time in which the odometry takes the goal's reading for its own drift [s], and how far a goal moves at once
@@ -39,6 +42,7 @@ def _predict(track: Any, step_s: float) -> None:
     track[6] += step_s * track[5] + 0.5 * step_s**3 * noise
     track[5] += step_s * step_s * noise
     track[7] += step_s
+    track[10] += step_s
 
 
 @compile_function
@@ -92,15 +96,26 @@ def _hold_to_goal(pose: Any, goal: Any, place: Any, share: float) -> None:
 
 
 @compile_function
-def _match(clusters: Any, found: int, pose: Any, step_s: float, tracks: Any, count: int, taken: Any) -> int:
-    """Move the tracks (T, columns) of a row on, correct them by the `found` clusters, drop what was not seen
-    for long, and begin new ones; how many there are. `taken` (S,) gets the track of each cluster, or -1;
-    the body's `pose` (3,) gives the distance that the gate grows with.
+def _remember(entry: Any, clusters: Any, number: int) -> None:
+    """Fill the latest entry of a history with a cluster; zeros where its `number` is -1."""
+    entry[:] = 0.0
+    if number >= 0:
+        entry[0] = 1.0
+        entry[1:] = clusters[number]
+
+
+@compile_function
+def _match(
+    clusters: Any, found: int, pose: Any, step_s: float, tracks: Any, histories: Any, count: int, taken: Any
+) -> int:  # fmt: skip
+    """Move the tracks (T, columns) of a row on, with their histories (T, steps, columns), correct them by the
+    `found` clusters, drop what was not seen for long, and begin new ones; how many there are. `taken` (S,)
+    gets the track of each cluster, or -1; the body's `pose` (3,) gives the distance that the gate grows with.
     """
     taken[:found] = -1
     kept = 0
     for index in range(count):
-        track = tracks[index]
+        track, history = tracks[index], histories[index]
         _predict(track, step_s)
         away = length(track[0] - pose[0], track[1] - pose[1])
         nearest, chosen = _GATE_M + _GATE_PER_M * away, -1
@@ -114,6 +129,9 @@ def _match(clusters: Any, found: int, pose: Any, step_s: float, tracks: Any, cou
             if chosen >= 0:
                 taken[chosen] = kept
             tracks[kept] = track
+            for before in range(len(history) - 1, 0, -1):
+                histories[kept, before] = history[before - 1]
+            _remember(histories[kept, 0], clusters, chosen)
             kept += 1
     for number in range(found):
         if taken[number] >= 0 or kept == _MOST_TRACKS:
@@ -123,6 +141,8 @@ def _match(clusters: Any, found: int, pose: Any, step_s: float, tracks: Any, cou
         new[0], new[1] = clusters[number, 0], clusters[number, 1]
         new[8], new[9] = new[0], new[1]
         new[4], new[5] = clusters[number, 2] ** 2, _FIRST_SPEED_MPS**2
+        histories[kept] = 0.0
+        _remember(histories[kept, 0], clusters, number)
         taken[number] = kept
         kept += 1
     return kept
@@ -131,8 +151,8 @@ def _match(clusters: Any, found: int, pose: Any, step_s: float, tracks: Any, cou
 @compile_function
 def track_scans(
     ranges: Any, points: Any, sees: Any, twists: Any, goals: Any, goal_places: Any, step_s: float, rays: Any,
-    mount: Any, poses: Any, past: Any, tracks: Any, counts: Any, moving: Any, moving_counts: Any,
-    velocities: Any,
+    mount: Any, poses: Any, past: Any, tracks: Any, histories: Any, counts: Any, moving: Any,
+    moving_counts: Any, velocities: Any,
 ) -> None:  # fmt: skip
     """Update the tracks of N rows by a scan each.
 
@@ -140,9 +160,9 @@ def track_scans(
     first one [rad], rays per radian). `twists` (N, 2: speed, yaw rate) move the `poses` (N, 3) of the
     odometry by a step, and `goals` (N, 2) [m], in the vehicles' frames, hold them to where these were, in
     `goal_places` (N, 2). `past` is (earlier scans (N, L, S), their poses (N, L, 3), how many there were (N,),
-    how many scans ago those are that count). `tracks` (N, T, columns) are changed, `counts` of them in a row.
-    `moving` (N, T, 4: x, y, velocity) and `velocities` (N, S, 2), of the rays, are those of what moves, in
-    the vehicles' frames.
+    how many scans ago those are that count). `tracks` (N, T, columns) and `histories` (N, T, steps, columns)
+    are changed, `counts` of them in a row. `moving` (N, T, 4: x, y, velocity) and `velocities` (N, S, 2), of
+    the rays, are those of what moves, in the vehicles' frames.
     """
     size = ranges.shape[1]
     scans, scan_poses, taken_scans, lags = past
@@ -175,7 +195,7 @@ def track_scans(
             x, y = clusters[number, 0], clusters[number, 1]
             clusters[number, 0] = pose[0] + cos * x - sin * y
             clusters[number, 1] = pose[1] + sin * x + cos * y
-        counts[row] = _match(clusters, found, pose, step_s, tracks[row], counts[row], taken)
+        counts[row] = _match(clusters, found, pose, step_s, tracks[row], histories[row], counts[row], taken)
         count = 0
         for index in range(counts[row]):
             track = tracks[row, index]
@@ -207,12 +227,16 @@ class ScanTracker:
         # Of the odometry: x, y [m] and yaw [rad].
         self.poses = np.zeros((num_rows, 3))
         self._goal_places = np.full((num_rows, 2), np.nan)
-        self._tracks = np.zeros((num_rows, _MOST_TRACKS, _COLUMNS))
-        self._counts = np.zeros(num_rows, np.int64)
+        # The first `counts` of a row are tracks of now; their columns are those of TRACK_COLUMNS above.
+        self.tracks = np.zeros((num_rows, _MOST_TRACKS, TRACK_COLUMNS))
+        self.histories = np.zeros((num_rows, _MOST_TRACKS, HISTORY_STEPS, HISTORY_COLUMNS))
+        self.counts = np.zeros(num_rows, np.int64)
         # Of what moves, in the vehicles' frames (N, T, 4: x, y, velocity); a row has `moving_counts` of them.
         self.moving = np.zeros((num_rows, _MOST_TRACKS, 4))
         self.moving_counts = np.zeros(num_rows, np.int64)
         self.velocities = np.zeros((num_rows, rays, 2))
+        # Of the latest scan: where rays end, in the vehicles' frames, and which have a return.
+        self.points, self.sees = np.zeros((num_rows, rays, 2)), np.zeros((num_rows, rays), bool)
         self._ahead = np.stack([np.cos(bearings), np.sin(bearings)], axis=-1)
         self._mount = np.ascontiguousarray(mount[:2], np.float64)
         apart = float(bearings[1] - bearings[0]) if rays > 1 else 2.0 * np.pi
@@ -223,7 +247,7 @@ class ScanTracker:
 
     def forget(self, mask: Flags) -> None:
         """Forget the tracks of the rows in `mask` (N,)."""
-        self._counts[mask] = self._taken[mask] = self.moving_counts[mask] = 0
+        self.counts[mask] = self._taken[mask] = self.moving_counts[mask] = 0
         self.velocities[mask] = self.poses[mask] = 0.0
         self._goal_places[mask] = np.nan
 
@@ -239,9 +263,9 @@ class ScanTracker:
             self._scans = np.zeros((*shape, ranges.shape[1]), np.float32)
             self._scan_poses = np.zeros((*shape, 3))
             self._taken[:] = 0
-        points = ranges[:, :, None] * self._ahead + self._mount
+        self.points, self.sees = ranges[:, :, None] * self._ahead + self._mount, sees
         track_scans(
-            ranges, points, sees, twists, goals, self._goal_places, step_s, self._rays, self._mount,
-            self.poses, (self._scans, self._scan_poses, self._taken, self._lags), self._tracks, self._counts,
-            self.moving, self.moving_counts, self.velocities,
+            ranges, self.points, sees, twists, goals, self._goal_places, step_s, self._rays, self._mount,
+            self.poses, (self._scans, self._scan_poses, self._taken, self._lags), self.tracks,
+            self.histories, self.counts, self.moving, self.moving_counts, self.velocities,
         )  # fmt: skip

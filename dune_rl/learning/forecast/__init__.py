@@ -1,0 +1,1 @@
+"""Learning of motion forecasts: what a tracker of agents cannot tell by the filter of each track alone."""
