@@ -31,7 +31,7 @@ from dune_rl.commands.command_line import config_folders, parse_arguments
 from dune_rl.commands.engines import parse_settings as engines_settings
 from dune_rl.commands.pages import PAGES as PROGRAMS
 from dune_rl.commands.report import parse_words
-from dune_rl.config.commands import EvaluateConf, ViewConf
+from dune_rl.config.commands import EvaluateConf, ForecastConf, ViewConf
 from dune_rl.config.compose import check_sweep, compose, override_value
 from dune_rl.config.schema import Conf
 from dune_rl.core import paths
@@ -88,6 +88,8 @@ def compose_command(words: list[str]) -> None:
     elif program == "dune_rl.evaluate":
         add_world_of_set(overrides)
         compose(EvaluateConf, overrides, folders, saved if override_value(overrides, "checkpoint") else None)
+    elif program == "dune_rl.forecast":
+        compose(ForecastConf, overrides, folders)
     elif program == "dune_rl.engines":
         engines_settings(overrides)
     elif program == "dune_rl.report":

@@ -55,7 +55,7 @@ class CommandCostsConf(SensorSettings):
     """What each command of a grid would cost, by simulating it for 2.5 s over what the robot has seen.
 
     It is the dynamic window of the driver `planner` with readings in place of the truth: the returns of the
-    LiDAR, low obstacles, tracks, and the way left. Gaps to tracks are uncertain, and the more the later; what
+    LiDAR, low obstacles, tracks or their forecast, and the way left. Gaps to tracks are uncertain, and the more the later; what
     a contact costs counts by its probability. To a robot that nobody moves near, and that has stayed at a
     place for 4 s, or for 2 s while it was to drive, for 1.5 s those commands are cheap that lead away.
     """

@@ -107,7 +107,7 @@ def read_forecast(name: str, step_s: float) -> "MotionForecast":
 
 
 class MotionForecast:
-    """A network of dense layers that forecasts tracks: the arrays that `python -m dune_rl.forecast` writes."""
+    """A network of dense layers that forecasts tracks: arrays that `python -m dune_rl.forecast` writes."""
 
     def __init__(self, weights: Mapping[str, Any]) -> None:
         self._mean, self._scale = weights["mean"], weights["scale"]
