@@ -15,8 +15,9 @@ from dune_rl.config.compose import compose
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.files import write_atomically, write_csv
 from dune_rl.core.paths import unused_folder
+from dune_rl.sensors.perception.motion_forecast import FORECAST_FILE
 
-FORECAST_FILE, CONFIG_FILE, ERRORS_FILE = "forecast.npz", "config.yaml", "errors.csv"
+CONFIG_FILE, ERRORS_FILE = "config.yaml", "errors.csv"
 
 
 def run(words: Sequence[str]) -> None:
@@ -60,8 +61,7 @@ def _learn(conf: ForecastConf) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     with show_episodes(console, conf.policy, conf.episodes) as show:
         evaluate(policy, env, conf.episodes, conf.seed, observer=recorder, progress=show)
     samples = recorder.samples()
-    first = round(len(samples.features) * (1.0 - conf.held_out))
-    fitted, held_out = samples.part(slice(first)), samples.part(slice(first, None))
+    fitted, held_out = samples.split(int(conf.episodes * (1.0 - conf.held_out)))
     with show_episodes(console, "fit", conf.updates, counted="updates") as show:
         weights = fit_forecast(fitted, conf.updates, conf.batch_size, conf.seed, show)
     weights["step_s"] = np.array(conf.physics.control_step_s, np.float32)
@@ -75,7 +75,9 @@ def _show(console: Any, errors: Sequence[dict[str, Any]], fitted: int) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    table = Table(title=f"Tracks that were not fitted (fitted: {fitted:,})", title_justify="left")
+    table = Table(
+        title=f"Tracks of other episodes than the {fitted:,} that were fitted", title_justify="left"
+    )
     table.add_column("")
     table.add_column("forecast", justify="right")
     table.add_column("constant velocity", justify="right")

@@ -133,7 +133,7 @@ PAGES: Mapping[str, HelpPage] = {
     "forecast": HelpPage(
         "Learn where the agents will be that a robot tracks.",
         (
-            ("python -m dune_rl.forecast +world=mixed", "among eight walkers, on sites of training"),
+            ("python -m dune_rl.forecast +world=mixed actors.walker.count=8", "among eight walkers"),
             ("python -m dune_rl.forecast +world=inspection robot=leo_rover", "of another robot"),
         ),
         (
@@ -142,11 +142,11 @@ PAGES: Mapping[str, HelpPage] = {
             ("scenes=N", "episodes side by side"),
             ("seed=N", "of the episodes and of the fit"),
             ("updates=N", "of the fit"),
-            ("held_out=F", "share of the tracks, at the end, on which errors are measured"),
+            ("held_out=F", "share of the episodes, the last ones, on which errors are measured"),
             ("out=FOLDER", "of the forecast; else forecasts/DATE_WORLD"),
         ),
         (
-            "To use it, give sensors.agent_tracks.forecast=FOLDER/forecast.npz to train, evaluate\n"
+            "To use it, give sensors.agent_tracks.forecast=FOLDER to train, evaluate\n"
             "and view. sensors.agent_tracks.forecast=persons is that of the package."
         ),
     ),

@@ -8,14 +8,18 @@ from typing import Any
 import numpy as np
 import pytest
 from plain_worlds import plain
-from simulations import put_walkers, simulation_on
-from tensordict import TensorDict
+from simulations import environment_conf, put_walkers, simulation_on
+from tensordict import TensorDict, TensorDictBase
 
 from dune_rl import evaluate, forecast
+from dune_rl.config.build import make_learning_env
 from dune_rl.core.errors import ConfigError
 from dune_rl.env.requests import AgentRequest
+from dune_rl.env.torchrl.episode_metrics import simulation_in
+from dune_rl.learning.evaluation import evaluate as evaluate_episodes
 from dune_rl.learning.forecast.fit import fit_forecast, forecast_errors
 from dune_rl.learning.forecast.recorder import TrackRecorder, TrackSamples
+from dune_rl.learning.policies import built_in_policy
 from dune_rl.sensors.perception.motion_forecast import (
     AHEAD_S,
     FEATURES,
@@ -30,19 +34,18 @@ WALKER = {"body": "person", "controller": "external", "count": 1}
 AFTER = TensorDict({}, [1])
 
 
-def recorded(steps: int, turns_at: int | None = None, again: bool = False) -> TrackSamples:
-    """A walker that passes from left to right 3 m ahead at 1 m/s, and turns back by standing still."""
-    simulation = simulation_on(plain(), sensors=SENSORS, actors={"walker": WALKER})
+def recorded(*episodes: int, stops_at: int | None = None, **settings: Any) -> TrackSamples:
+    """Of episodes of so many steps: a walker passes from left to right 3 m ahead at 1 m/s, until it stops."""
+    simulation = simulation_on(plain(), sensors=SENSORS, actors={"walker": WALKER}, **settings)
     recorder = TrackRecorder(simulation)
-    for _ in range(1 + again):
+    for steps in episodes:
         simulation.reset(requests={0: {"rover_0": AgentRequest((-2.0, 0.0, 0.0), (4.0, 0.0))}})
         put_walkers(simulation, [[1.0, 1.5, 0.0, -np.pi / 2]])
         recorder.begin()
         for step in range(steps):
-            speed = 0.0 if turns_at is not None and step >= turns_at else 1.0
+            speed = 0.0 if stops_at is not None and step >= stops_at else 1.0
             simulation.step({"rover": np.zeros((1, 1, 2)), "walker": np.array([[[speed, 0.0]]])})
             recorder.step(AFTER)
-    assert recorder.frames == steps * (1 + again)
     samples = recorder.samples()
     simulation.close()
     return samples
@@ -64,16 +67,61 @@ def test_tracks_are_told_where_their_agent_went() -> None:
 
 
 def test_what_is_told_of_one_who_stops_is_where_it_stopped() -> None:
-    samples = recorded(80, turns_at=25)
+    samples = recorded(80, stops_at=25)
     told = samples.told[samples.followed]
     ways = np.hypot(*np.moveaxis(told[:, 2:] - told[:, :1], -1, 0))
     assert ways.max() < 1.3 and (np.diff(ways, axis=1) > -1e-3).all()
 
 
 def test_no_track_is_followed_into_another_episode() -> None:
-    once, twice = recorded(60), recorded(60, again=True)
-    assert twice.followed.sum() == 2 * once.followed.sum()
-    assert len(twice.agents) == 2 * len(once.agents)
+    long, both = recorded(60), recorded(5, 60)
+    # All but the last one of an episode of 5 steps are told how fast their agent is, and nothing later.
+    short = both.split(1)[0]
+    assert 0 < len(short.agents) <= 4 and not short.followed.any()
+    np.testing.assert_allclose(np.hypot(*short.told[:, 1].T), 1.0, atol=0.05)
+    assert both.followed.sum() == long.followed.sum()
+    assert len(both.split(1)[1].agents) == len(long.agents)
+
+
+def test_robots_that_rest_are_left_out() -> None:
+    conf = environment_conf(
+        "flat", sensors=SENSORS, actors=[{}, {}], task={"terminations": {"time_limit": {"max_steps": 70}}}
+    )
+    env = make_learning_env(conf, 2, 0)
+    recorder = TrackRecorder(simulation_in(env))
+    counts = []
+    step = recorder.step
+
+    def watched(after: TensorDictBase) -> None:
+        before = len(recorder._seen)
+        step(after)
+        counts.append((int(simulation_in(env).resting.sum()), set(recorder._seen[before][0].tolist())))
+
+    recorder.step = watched  # type: ignore[method-assign]
+    evaluate_episodes(built_in_policy("random", env), env, 1, 0, observer=recorder)
+    env.close()
+    # One of the two scenes runs no episode.
+    assert {resting for resting, _ in counts} == {1}
+    assert set().union(*(rows for _, rows in counts)) == {0}
+    assert set(recorder.samples().episodes.tolist()) == {0}
+
+
+def test_agents_that_leave_are_not_followed_away() -> None:
+    conf = environment_conf(
+        "flat",
+        sensors=SENSORS,
+        actors=[{"presence": {"arrive_s": [0.0, 1.0], "stay_s": [2.0, 4.0]}}] * 4,
+        task={"terminations": {"time_limit": {"max_steps": 200}}},
+    )
+    env = make_learning_env(conf, 4, 0)
+    recorder = TrackRecorder(simulation_in(env))
+    evaluate_episodes(built_in_policy("go_to_goal", env), env, 4, 0, observer=recorder)
+    samples = recorder.samples()
+    env.close()
+    assert samples.followed.any()
+    # They walk at 1 m/s; what is gone is far away.
+    assert np.hypot(*samples.told[samples.agents, 1].T).max() < 3.0
+    assert np.hypot(*np.moveaxis(samples.told[samples.followed], -1, 0)).max() < 4.0
 
 
 def made_up(count: int, seed: int) -> TrackSamples:
@@ -85,7 +133,7 @@ def made_up(count: int, seed: int) -> TrackSamples:
     agents = features[:, 0] > 0.0
     told = constant_velocity(features)
     told[:, 2:, 1] += features[:, 1:2]
-    return TrackSamples(features, agents, agents.copy(), told)
+    return TrackSamples(features, agents, agents.copy(), told, np.zeros(count, np.int64))
 
 
 def test_a_fit_learns_what_constant_velocity_does_not_know() -> None:
@@ -139,10 +187,12 @@ def test_where_nothing_can_be_recorded_it_says_why(settings: dict[str, Any], sai
 TINY = (
     "+world=flat",
     "randomisation.world_seed=null",
+    "actors.walker.count=8",
+    "policy=random",
     "episodes=4",
     "scenes=4",
     "updates=20",
-    "task.terminations.time_limit.max_steps=300",
+    "task.terminations.time_limit.max_steps=500",
 )
 
 
@@ -156,8 +206,8 @@ def test_the_command_writes_a_forecast_that_evaluations_use(
     assert (folder / "made" / "config.yaml").exists()
     words = ("policy=dwa", "+world=flat", "sensors=perception_3d", "+sensors.command_costs={}", "episodes=1")
     steps = "task.terminations.time_limit.max_steps=20"
-    assert call(evaluate.main, *words, steps, "sensors.agent_tracks.forecast=made/forecast.npz", "out=e") == 0
+    assert call(evaluate.main, *words, steps, "sensors.agent_tracks.forecast=made", "out=e") == 0
     assert call(evaluate.main, *words, steps, "sensors.agent_tracks.forecast=other.npz", "out=f") == 2
-    assert "there is no forecast 'other.npz'" in capsys.readouterr().err
+    assert "there is no forecast 'other.npz': choose persons, or give a folder" in capsys.readouterr().err
     assert call(forecast.main, *TINY, "out=made") == 2
     assert "made is not empty" in capsys.readouterr().err

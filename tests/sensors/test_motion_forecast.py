@@ -189,6 +189,9 @@ def test_the_forecast_of_the_package_knows_a_walker_by_its_way() -> None:
         ({"bias_1": np.full(8, np.nan, np.float32)}, "has no sound bias_1"),
         ({"weight_0": np.zeros((FEATURES + 1, 8), np.float32)}, "has no sound weight_0"),
         ({"step_s": None}, "has no sound step_s"),
+        ({"scale": np.zeros(FEATURES, np.float32)}, "has no sound scale"),
+        ({"bias_0": np.array(1.0, np.float32)}, "has no sound"),
+        ({"bias_0": np.array(["a"] * 8)}, "has no sound bias_0"),
     ],
 )
 def test_a_file_without_sound_arrays_is_refused(
@@ -203,16 +206,25 @@ def test_other_files_are_refused(make_file: MakeFile, tmp_path: Path) -> None:
         read_forecast(str(make_file()), 0.1)
     with pytest.raises(ConfigError, match=r"there is no forecast 'person'.*persons"):
         read_forecast("person", 0.05)
-    with pytest.raises(ConfigError, match="there is no such file"):
-        read_forecast(str(tmp_path / "none.npz"), 0.05)
-    text = tmp_path / "text.npz"
-    text.write_text("no arrays")
-    with pytest.raises(ConfigError, match="cannot be read as a forecast"):
-        read_forecast(str(text), 0.05)
-    objects = tmp_path / "objects.npz"
-    np.savez(objects, mean=np.array([{}], object))
-    with pytest.raises(ConfigError, match="cannot be read as a forecast"):
-        read_forecast(str(objects), 0.05)
+    whole = make_file().read_bytes()
+    damaged = bytearray(whole)
+    damaged[len(whole) // 3] ^= 1
+    np.save(tmp_path / "array.npy", np.zeros(3))
+    np.savez(tmp_path / "objects.npz", mean=np.array([{}], object))
+    (tmp_path / "text").write_text("no arrays")
+    (tmp_path / "half").write_bytes(whole[: len(whole) // 2])
+    (tmp_path / "damaged").write_bytes(damaged)
+    for name in ("array.npy", "objects.npz", "text", "half", "damaged"):
+        with pytest.raises(ConfigError, match="cannot be read as a forecast"):
+            read_forecast(str(tmp_path / name), 0.05)
+
+
+def test_a_folder_stands_for_its_forecast(make_file: MakeFile, tmp_path: Path) -> None:
+    (tmp_path / "mine").mkdir()
+    make_file().rename(tmp_path / "mine" / "forecast.npz")
+    assert isinstance(read_forecast(str(tmp_path / "mine"), 0.05), MotionForecast)
+    with pytest.raises(ConfigError, match="there is no forecast"):
+        read_forecast(str(tmp_path), 0.05)
 
 
 def test_nothing_is_told_where_nothing_is_tracked(make_file: MakeFile) -> None:

@@ -40,7 +40,7 @@ class AgentTracksConf(SensorSettings):
     count: int = Field(3, ge=1, le=16, description="nearest tracks in the reading")
     forecast: str | None = Field(
         None,
-        description="a learnt forecast: NAME of assets/forecasts, or FILE.npz of python -m dune_rl.forecast; "
+        description="a learnt forecast: NAME of assets/forecasts, or FOLDER of python -m dune_rl.forecast; "
         "null: what has moved is an agent, of constant velocity",
     )
     reach_m: float = Field(8.0, gt=0.0, le=100.0, description="distance of the farthest track in it [m]")

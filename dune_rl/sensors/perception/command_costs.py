@@ -55,9 +55,10 @@ class CommandCostsConf(SensorSettings):
     """What each command of a grid would cost, by simulating it for 2.5 s over what the robot has seen.
 
     It is the dynamic window of the driver `planner` with readings in place of the truth: the returns of the
-    LiDAR, low obstacles, tracks or their forecast, and the way left. Gaps to tracks are uncertain, and the more the later; what
-    a contact costs counts by its probability. To a robot that nobody moves near, and that has stayed at a
-    place for 4 s, or for 2 s while it was to drive, for 1.5 s those commands are cheap that lead away.
+    LiDAR, low obstacles, tracks or their forecast, and the way left. Gaps to tracks are uncertain, and the
+    more the later; what a contact costs counts by its probability. To a robot that nobody moves near, and
+    that has stayed at a place for 4 s, or for 2 s while it was to drive, for 1.5 s those commands are cheap
+    that lead away.
     """
 
     sensor: Literal["command_costs"] = "command_costs"
@@ -173,8 +174,9 @@ class CommandCosts(VectorSensor):
             ahead = np.empty((len(movers), STEPS, movers.shape[1], 2))
             predict_actors(movers, ahead)
             return ahead
-        there = movers[..., :2] < _NOWHERE_M
-        known = np.where(there[:, :, None], told[:, : movers.shape[1]], _NOWHERE_M)
+        count = movers.shape[1]
+        there = np.arange(count) < self._tracks.tracker.moving_counts[:, None]
+        known = np.where(there[..., None, None], told[:, :count], _NOWHERE_M)
         known = np.concatenate([movers[:, :, None, :2], known], axis=2)
         found: Array = np.einsum("ta,nkad->ntkd", _BETWEEN, known)
         return found

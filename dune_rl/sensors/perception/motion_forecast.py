@@ -1,10 +1,13 @@
 """A learnt forecast of tracks: which of them are agents, how fast these move, and where they will be."""
 
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
+from numpy.lib.npyio import NpzFile
 from scipy.special import expit
 
 from dune_rl.core.errors import ConfigError
@@ -14,11 +17,13 @@ from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.geometry.compiled import compile_function
 from dune_rl.sensors.perception.scan_tracks import HISTORY_STEPS, ScanTracker
 
+# In the folder of a forecast.
+FORECAST_FILE = "forecast.npz"
 # A forecast tells of so many times ahead [s].
 AHEAD_S = (0.5, 1.0, 1.5, 2.0, 2.5)
 # A track is an agent from this chance on.
 LEAST_CHANCE = 0.5
-# What is an agent by its forecast are the returns this near to its middle [m].
+# Returns within this of where an agent is by its forecast are taken for the agent's [m].
 _NEAR_M = 0.42
 _FARTHEST_M, _FASTEST_MPS, _OLDEST_S, _MOST_RAYS = 2.0, 3.0, 5.0, 20.0
 # Numbers of a track's features, and of what is told of it: the chance's logit, a place, a velocity and the
@@ -29,14 +34,18 @@ _LAYERS = 4
 
 
 def find_forecast(name: str) -> Path:
-    """The file of a forecast: of that NAME in `assets/forecasts`, or FILE.npz; raises ConfigError without."""
-    folder = assets_folder() / "forecasts"
-    file = Path(name).expanduser() if name.endswith(".npz") else folder / f"{name}.npz"
-    if not file.is_file():
-        known = sorted(path.stem for path in folder.glob("*.npz"))
-        hint = "there is no such file" if name.endswith(".npz") else advise(name, known)
-        raise ConfigError(f"there is no forecast {name!r}: {hint}")
-    return file
+    """The file of a forecast: of this name in `assets/forecasts`, in a folder, or itself a file.
+
+    Raises ConfigError without.
+    """
+    folder, given = assets_folder() / "forecasts", Path(name).expanduser()
+    for file in (folder / f"{name}.npz", given / FORECAST_FILE, given):
+        if file.is_file():
+            return file
+    known = advise(name, sorted(path.stem for path in folder.glob("*.npz")))
+    raise ConfigError(
+        f"there is no forecast {name!r}: {known}, or give a folder of python -m dune_rl.forecast"
+    )
 
 
 def track_features(tracks: Array, histories: Array, poses: Array) -> tuple[Floats, Array]:
@@ -160,16 +169,21 @@ class MotionForecast:
 
 def _read_weights(file: Path) -> Mapping[str, Any]:
     try:
-        with np.load(file, allow_pickle=False) as stored:
+        with file.open("rb") as data:
+            stored = np.load(data, allow_pickle=False)
+            if not isinstance(stored, NpzFile):
+                raise ValueError("it holds one array")
             found = {name: stored[name] for name in stored.files}
-    except (OSError, ValueError, EOFError) as error:
+    except (OSError, ValueError, EOFError, BadZipFile, zlib.error) as error:
         raise ConfigError(f"{file} cannot be read as a forecast: {error}") from None
-    sizes = [FEATURES, *(len(found.get(f"bias_{n}", ())) for n in range(_LAYERS - 1)), OUTPUTS]
-    shapes = {"mean": (FEATURES,), "scale": (FEATURES,), "step_s": ()}
+    sizes = [FEATURES, *(np.size(found.get(f"bias_{n}", 0.0)) for n in range(_LAYERS - 1)), OUTPUTS]
+    shapes: dict[str, tuple[int, ...]] = {"mean": (FEATURES,), "scale": (FEATURES,), "step_s": ()}
     for n in range(_LAYERS):
         shapes |= {f"weight_{n}": (sizes[n], sizes[n + 1]), f"bias_{n}": (sizes[n + 1],)}
     for name, shape in shapes.items():
-        if name not in found or found[name].shape != shape or not np.isfinite(found[name]).all():
+        values = found.get(name, np.zeros(0, bool))
+        is_sound = values.shape == shape and values.dtype.kind == "f" and bool(np.isfinite(values).all())
+        if not is_sound or (name == "scale" and bool((values <= 0.0).any())):
             raise ConfigError(
                 f"{file} is no forecast of this version: it has no sound {name}; train one with "
                 "python -m dune_rl.forecast"
