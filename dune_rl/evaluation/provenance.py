@@ -12,10 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from dune_rl.core.errors import ConfigError
+from dune_rl.core.files import sha256_of
 from dune_rl.core.paths import package_folder
 from dune_rl.evaluation.episode_sets.apply import sites_of_training
 from dune_rl.evaluation.running import EvaluationPlan
 from dune_rl.learning.checkpoint import read_policy_file
+from dune_rl.sensors.perception.agent_tracks import AgentTracksConf
+from dune_rl.sensors.perception.motion_forecast import find_forecast
 
 _PACKAGES = (
     *("dune_rl", "numpy", "scipy", "numba", "torch", "torchrl", "tensordict", "gymnasium", "pettingzoo"),
@@ -48,6 +51,7 @@ def describe_provenance(plan: EvaluationPlan) -> dict[str, Any]:
         "scenes": plan.scenes,
         "processes": conf.processes,
         "policies": policies,
+        "forecasts": _forecasts(plan),
         "git": git_commit(),
         "packages": package_versions(),
         "python": platform.python_version(),
@@ -56,8 +60,23 @@ def describe_provenance(plan: EvaluationPlan) -> dict[str, Any]:
     }
 
 
+def _forecasts(plan: EvaluationPlan) -> dict[str, str]:
+    """The SHA-256 of the files by which sensors forecast, by their settings."""
+    found = {}
+    for group in plan.conf.groups:
+        for sensor in (group.sensors or {}).values():
+            if isinstance(sensor, AgentTracksConf) and sensor.forecast is not None:
+                found[sensor.forecast] = sha256_of(find_forecast(sensor.forecast))
+    return found
+
+
 def check_same_sources(plan: EvaluationPlan, provenance: dict[str, Any], path: Path) -> None:
     """Raise ConfigError unless the set and the weights of `plan` are those of the results in `path`."""
+    forecasts = provenance.get("forecasts")
+    if forecasts is not None and forecasts != _forecasts(plan):
+        raise ConfigError(
+            f"{path} was made with another forecast than that now in {', '.join(forecasts)}; evaluate again"
+        )
     used = plan.episode_set
     before, now = provenance.get("set"), None if used is None else used.header.sha256
     if (before or {}).get("sha256") != now:

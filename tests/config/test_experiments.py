@@ -159,3 +159,13 @@ def test_without_a_set_a_policy_is_evaluated_in_the_worlds_that_its_run_kept_for
     asked = [*words, "randomisation.world_seed={name: integers, low: 7, high: 9}"]
     drawn = evaluate_command._compose(parse_arguments(asked)).randomisation.distributions["world_seed"]
     assert drawn.limits == (7, 9)
+
+
+def test_the_errors_of_the_forecast_are_those_of_its_file() -> None:
+    folder = EXPERIMENTS / "forecast"
+    rows = list(csv.reader((folder / "errors.csv").read_text().splitlines()))
+    lines = [" | ".join(f"{float(cell):,g}" if cell else "" for cell in row[1:]) for row in rows[1:]]
+    text = (folder / "README.md").read_text()
+    for (measure, *_), line in zip(rows[1:], lines, strict=True):
+        assert f"| {measure} | {line} |" in text
+    assert len(lines) == 18

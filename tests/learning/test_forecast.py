@@ -1,6 +1,8 @@
 """Motion forecasts are learnt from what tracks became: recording, the fit, and the command."""
 
 import csv
+import hashlib
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -207,6 +209,15 @@ def test_the_command_writes_a_forecast_that_evaluations_use(
     words = ("policy=dwa", "+world=flat", "sensors=perception_3d", "+sensors.command_costs={}", "episodes=1")
     steps = "task.terminations.time_limit.max_steps=20"
     assert call(evaluate.main, *words, steps, "sensors.agent_tracks.forecast=made", "out=e") == 0
+    provenance = json.loads((folder / "e" / "provenance.json").read_text())
+    weights = (folder / "made" / "forecast.npz").read_bytes()
+    assert provenance["forecasts"] == {"made": hashlib.sha256(weights).hexdigest()}
+    assert call(evaluate.main, "verify=e", "sample=1") == 0
+    with np.load(folder / "made" / "forecast.npz") as stored:
+        arrays = {name: stored[name] for name in stored.files}
+    np.savez(folder / "made" / "forecast.npz", **(arrays | {"bias_3": 2.0 * arrays["bias_3"]}))
+    assert call(evaluate.main, "verify=e") == 2
+    assert "another forecast than that now in made; evaluate again" in capsys.readouterr().err
     assert call(evaluate.main, *words, steps, "sensors.agent_tracks.forecast=other.npz", "out=f") == 2
     assert "there is no forecast 'other.npz': choose persons, or give a folder" in capsys.readouterr().err
     assert call(forecast.main, *TINY, "out=made") == 2
