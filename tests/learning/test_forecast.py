@@ -194,7 +194,7 @@ TINY = (
     "episodes=4",
     "scenes=4",
     "updates=20",
-    "task.terminations.time_limit.max_steps=500",
+    "task.terminations.time_limit.max_steps=400",
 )
 
 
@@ -212,7 +212,6 @@ def test_the_command_writes_a_forecast_that_evaluations_use(
     provenance = json.loads((folder / "e" / "provenance.json").read_text())
     weights = (folder / "made" / "forecast.npz").read_bytes()
     assert provenance["forecasts"] == {"made": hashlib.sha256(weights).hexdigest()}
-    assert call(evaluate.main, "verify=e", "sample=1") == 0
     with np.load(folder / "made" / "forecast.npz") as stored:
         arrays = {name: stored[name] for name in stored.files}
     np.savez(folder / "made" / "forecast.npz", **(arrays | {"bias_3": 2.0 * arrays["bias_3"]}))
