@@ -218,6 +218,6 @@ def test_the_command_writes_a_forecast_that_evaluations_use(
     assert call(evaluate.main, "verify=e") == 2
     assert "another forecast than that now in made; evaluate again" in capsys.readouterr().err
     assert call(evaluate.main, *words, steps, "sensors.agent_tracks.forecast=other.npz", "out=f") == 2
-    assert "there is no forecast 'other.npz': choose persons, or give a folder" in capsys.readouterr().err
+    assert "there is no forecast 'other.npz' (choose persons), nor a folder" in capsys.readouterr().err
     assert call(forecast.main, *TINY, "out=made") == 2
     assert "made is not empty" in capsys.readouterr().err

@@ -43,9 +43,7 @@ def find_forecast(name: str) -> Path:
         if file.is_file():
             return file
     known = advise(name, sorted(path.stem for path in folder.glob("*.npz")))
-    raise ConfigError(
-        f"there is no forecast {name!r}: {known}, or give a folder of python -m dune_rl.forecast"
-    )
+    raise ConfigError(f"there is no forecast {name!r} ({known}), nor a folder of python -m dune_rl.forecast")
 
 
 def track_features(tracks: Array, histories: Array, poses: Array) -> tuple[Floats, Array]:
@@ -174,8 +172,10 @@ def _read_weights(file: Path) -> Mapping[str, Any]:
             if not isinstance(stored, NpzFile):
                 raise ValueError("it holds one array")
             found = {name: stored[name] for name in stored.files}
-    except (OSError, ValueError, EOFError, BadZipFile, zlib.error) as error:
-        raise ConfigError(f"{file} cannot be read as a forecast: {error}") from None
+    except OSError as error:
+        raise ConfigError(f"{file} cannot be read as a forecast: {error.strerror or error}") from None
+    except (ValueError, EOFError, BadZipFile, zlib.error):
+        raise ConfigError(f"{file} cannot be read as a forecast: it is no whole file of arrays") from None
     sizes = [FEATURES, *(np.size(found.get(f"bias_{n}", 0.0)) for n in range(_LAYERS - 1)), OUTPUTS]
     shapes: dict[str, tuple[int, ...]] = {"mean": (FEATURES,), "scale": (FEATURES,), "step_s": ()}
     for n in range(_LAYERS):
