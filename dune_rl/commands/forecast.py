@@ -15,7 +15,7 @@ from dune_rl.config.compose import compose
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.files import write_atomically, write_csv
 from dune_rl.core.paths import unused_folder
-from dune_rl.sensors.perception.motion_forecast import FORECAST_FILE
+from dune_rl.sensors.perception.motion_forecast import FORECAST_FILE, LEAST_CHANCE, MotionForecast
 
 CONFIG_FILE, ERRORS_FILE = "config.yaml", "errors.csv"
 
@@ -51,7 +51,6 @@ def _learn(conf: ForecastConf) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     from dune_rl.learning.forecast.recorder import TrackRecorder
     from dune_rl.learning.policies import built_in_policy
     from dune_rl.learning.run.progress import show_episodes
-    from dune_rl.sensors.perception.motion_forecast import LEAST_CHANCE, MotionForecast
 
     torch.set_num_threads(1)
     console = command_line.make_console()
@@ -60,6 +59,7 @@ def _learn(conf: ForecastConf) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     policy = built_in_policy(conf.policy, env, conf.seed)
     with show_episodes(console, conf.policy, conf.episodes) as show:
         evaluate(policy, env, conf.episodes, conf.seed, observer=recorder, progress=show)
+    env.close()
     samples = recorder.samples()
     fitted, held_out = samples.split(int(conf.episodes * (1.0 - conf.held_out)))
     with show_episodes(console, "fit", conf.updates, counted="updates") as show:

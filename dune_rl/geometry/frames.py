@@ -120,6 +120,25 @@ def multiply_quaternions(first: Array, second: Array) -> Array:
     )
 
 
+def frames_of_poses(poses: Array) -> Array:
+    """Plane frames (N, 4: x, y [m], cos and sin of the x axis) of `poses` (N, 3: x, y [m], yaw [rad])."""
+    return np.column_stack([poses[:, :2], np.cos(poses[:, 2]), np.sin(poses[:, 2])])
+
+
+def into_frames(frames: Array, points: Array) -> Array:
+    """Points (N, K, 2) [m], of the frame that `frames` (N, 4) lie in, as these have them."""
+    right, up = points[..., 0] - frames[:, :1], points[..., 1] - frames[:, 1:2]
+    cos, sin = frames[:, 2:3], frames[:, 3:4]
+    return np.stack([cos * right + sin * up, cos * up - sin * right], axis=-1)
+
+
+def out_of_frames(frames: Array, points: Array) -> Array:
+    """Points (N, K, 2) [m] in `frames` (N, 4), as the frame that these lie in has them."""
+    cos, sin = frames[:, 2:3], frames[:, 3:4]
+    x, y = points[..., 0], points[..., 1]
+    return np.stack([frames[:, :1] + cos * x - sin * y, frames[:, 1:2] + sin * x + cos * y], axis=-1)
+
+
 @compile_function
 def _rotate(quaternion: Any, found: Any) -> None:
     x, y, z, w = quaternion

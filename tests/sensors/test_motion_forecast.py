@@ -14,6 +14,7 @@ from test_perception import SENSORS, WALKER
 from dune_rl.core.errors import ConfigError
 from dune_rl.env.requests import AgentRequest
 from dune_rl.env.simulation import VectorSimulation
+from dune_rl.geometry.frames import into_frames, out_of_frames
 from dune_rl.sensors.perception.agent_tracks import AgentTracks
 from dune_rl.sensors.perception.command_costs import CommandCosts
 from dune_rl.sensors.perception.dynamic_window import STEP_S
@@ -24,8 +25,6 @@ from dune_rl.sensors.perception.motion_forecast import (
     OUTPUTS,
     MotionForecast,
     constant_velocity,
-    into_frames,
-    out_of_frames,
     read_forecast,
     track_features,
 )

@@ -10,8 +10,9 @@ from dune_rl.core.errors import ConfigError
 from dune_rl.env.scene_manager import scene_rows
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.geometry.arrays import Array, Counts, Flags, Floats
+from dune_rl.geometry.frames import frames_of_poses, into_frames, out_of_frames
 from dune_rl.sensors.perception.agent_tracks import AgentTracks
-from dune_rl.sensors.perception.motion_forecast import AHEAD_S, into_frames, out_of_frames, track_features
+from dune_rl.sensors.perception.motion_forecast import AHEAD_S, track_features
 from dune_rl.statistics.measures import MetricsRow
 
 # A track is of the nearest body, if its middle is this near [m].
@@ -138,6 +139,5 @@ class TrackRecorder:
 
 def _carried(poses: Array, odometry: Array, frames: Array, points: Array) -> Array:
     """World points (R, K, 2) beside robots at `poses` (R, 3), in `frames` in their `odometry` (R, 3)."""
-    ways = np.column_stack([poses[:, :2], np.cos(poses[:, 2]), np.sin(poses[:, 2])])
-    known = np.column_stack([odometry[:, :2], np.cos(odometry[:, 2]), np.sin(odometry[:, 2])])
-    return into_frames(frames, out_of_frames(known, into_frames(ways, points)))
+    body = into_frames(frames_of_poses(poses), points)
+    return into_frames(frames, out_of_frames(frames_of_poses(odometry), body))

@@ -9,6 +9,7 @@ from pydantic import Field
 from dune_rl.core.errors import ConfigError
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.geometry.compiled import compile_function
+from dune_rl.geometry.frames import frames_of_poses, out_of_frames
 from dune_rl.geometry.planar import length
 from dune_rl.sensors.context import SensorContext
 from dune_rl.sensors.lidar import beam_angles
@@ -152,7 +153,7 @@ class CommandCosts(VectorSensor):
         num = len(poses)
         ranges = tracks.beams
         rests = (ranges < min(_FARTHEST_M, tracks.lidar.range_m - 1e-3)) & ~tracks.moving_beams
-        goals = _from_frames(poses, tracks.goals()[:, None])[:, 0]
+        goals = out_of_frames(frames_of_poses(poses), tracks.goals()[:, None])[:, 0]
         steps, places, cell_m = no_low_obstacles(num) if low is None else low.map
         _fill_windows(
             poses, tracks.mount, self._bearings, ranges, rests, steps, places, cell_m,
@@ -187,19 +188,13 @@ class CommandCosts(VectorSensor):
         count = max(1, int(tracker.moving_counts.max()))
         moving = tracker.moving[:, :count]
         there = np.arange(count) < tracker.moving_counts[:, None]
-        turned = poses.copy()
+        frames = frames_of_poses(poses)
+        turned = frames.copy()
         turned[:, :2] = 0.0
-        parts = _from_frames(poses, moving[..., :2]), _from_frames(turned, moving[..., 2:])
+        parts = out_of_frames(frames, moving[..., :2]), out_of_frames(turned, moving[..., 2:])
         others = np.broadcast_to((0.0, _MOVER_RADIUS_M), (*there.shape, 2))
         nobody = (_NOWHERE_M, _NOWHERE_M, 0.0, 0.0, 0.0, _MOVER_RADIUS_M)
         return np.where(there[..., None], np.concatenate([*parts, others], axis=-1), nobody)
-
-
-def _from_frames(poses: Array, points: Array) -> Array:
-    """Points (N, K, 2) in the frames of `poses` (N, 3), in the frame that these are in."""
-    cos, sin = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
-    x, y = points[..., 0], points[..., 1]
-    return np.stack([poses[:, :1] + cos * x - sin * y, poses[:, 1:2] + sin * x + cos * y], axis=-1)
 
 
 @compile_function

@@ -15,6 +15,7 @@ from dune_rl.core.paths import assets_folder
 from dune_rl.core.suggestions import advise
 from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.geometry.compiled import compile_function
+from dune_rl.geometry.frames import frames_of_poses, into_frames, out_of_frames
 from dune_rl.sensors.perception.scan_tracks import HISTORY_STEPS, ScanTracker
 
 # In the folder of a forecast.
@@ -69,20 +70,6 @@ def track_features(tracks: Array, histories: Array, poses: Array) -> tuple[Float
         np.clip(begun, -_OLDEST_S, _OLDEST_S) / 2.0,
     )  # fmt: skip
     return np.concatenate(parts, axis=1).astype(np.float32), frames
-
-
-def into_frames(frames: Array, points: Array) -> Array:
-    """Points (R, K, 2) in `frames` (R, 4: x, y, cos, sin) that lie in the frame that these are in."""
-    right, up = points[..., 0] - frames[:, :1], points[..., 1] - frames[:, 1:2]
-    cos, sin = frames[:, 2:3], frames[:, 3:4]
-    return np.stack([cos * right + sin * up, cos * up - sin * right], axis=-1)
-
-
-def out_of_frames(frames: Array, points: Array) -> Array:
-    """The inverse of `into_frames`."""
-    cos, sin = frames[:, 2:3], frames[:, 3:4]
-    x, y = points[..., 0], points[..., 1]
-    return np.stack([frames[:, :1] + cos * x - sin * y, frames[:, 1:2] + sin * x + cos * y], axis=-1)
 
 
 def constant_velocity(features: Floats) -> Floats:
@@ -151,7 +138,7 @@ class MotionForecast:
         still[:, :2] = 0.0
         places = out_of_frames(frames, np.delete(told, 1, axis=1).astype(np.float64))
         velocities = out_of_frames(still, told[:, 1:2].astype(np.float64))
-        bodies = np.column_stack([poses[:, :2], np.cos(poses[:, 2]), np.sin(poses[:, 2])])
+        bodies = frames_of_poses(poses)
         turned = bodies.copy()
         turned[:, :2] = 0.0
         tracker.moving[rows, order, :2] = into_frames(bodies, places[:, :1])[:, 0]
