@@ -21,7 +21,6 @@ from dune_rl.sensors.perception.dynamic_window import STEP_S
 from dune_rl.sensors.perception.motion_forecast import (
     AHEAD_S,
     FEATURES,
-    MIRROR,
     OUTPUT_SCALES,
     OUTPUTS,
     MotionForecast,
@@ -118,19 +117,6 @@ def test_features_know_no_place_and_no_direction_of_the_world() -> None:
     points = rng.normal(size=(6, 4, 2))
     np.testing.assert_allclose(out_of_frames(frames, into_frames(frames, points)), points, atol=1e-9)
     np.testing.assert_allclose(into_frames(frames, frames[:, None, :2]), 0.0, atol=1e-12)
-
-
-def test_the_mirror_image_of_a_track_has_mirrored_features() -> None:
-    rng = np.random.default_rng(1)
-    tracks = rng.normal(size=(6, TRACK_COLUMNS))
-    histories = rng.normal(size=(6, HISTORY_STEPS, HISTORY_COLUMNS))
-    poses = rng.normal(size=(6, 3))
-    features, _ = track_features(tracks, histories, poses)
-    tracks[:, [1, 3, 9]] *= -1.0
-    histories[..., 2] *= -1.0
-    poses[:, 1:] *= -1.0
-    mirrored, _ = track_features(tracks, histories, poses)
-    np.testing.assert_allclose(mirrored, features * MIRROR, atol=1e-5)
 
 
 def test_without_anything_learnt_it_is_constant_velocity(make_file: MakeFile) -> None:

@@ -15,7 +15,6 @@ from dune_rl.learning.forecast.recorder import TrackSamples
 from dune_rl.sensors.perception.motion_forecast import (
     AHEAD_S,
     FEATURES,
-    MIRROR,
     OUTPUT_SCALES,
     OUTPUTS,
     constant_velocity,
@@ -41,7 +40,7 @@ def fit_forecast(
 
     The loss is the cross-entropy of what is an agent, and the mean distance of what is told of agents from
     the truth, in units of OUTPUT_SCALES: where a walker may go on or turn back, the likelier way is told, and
-    not the mean of both. Each track is fitted as it is and as its mirror image.
+    not the mean of both.
     """
     if len(samples.features) < _LEAST_SAMPLES or not samples.followed.any():
         raise ConfigError(
@@ -49,13 +48,12 @@ def fit_forecast(
             f"followed for {AHEAD_S[-1]} s, are too few for a forecast: run more episodes, among more agents"
         )
     generator = torch.Generator().manual_seed(seed)
-    features = torch.from_numpy(np.concatenate([samples.features, samples.features * MIRROR]))
+    features = torch.from_numpy(samples.features)
     mean, scale = features.mean(dim=0), features.std(dim=0) + 1e-3
     features = (features - mean) / scale
-    beside = (samples.told - constant_velocity(samples.features)) / OUTPUT_SCALES
-    target = torch.from_numpy(np.concatenate([beside, beside * (1.0, -1.0)]).astype(np.float32))
-    agents = torch.from_numpy(np.tile(samples.agents.astype(np.float32), 2))
-    counts = torch.from_numpy(np.tile(_known(samples).astype(np.float32), (2, 1)))
+    target = torch.from_numpy((samples.told - constant_velocity(samples.features)) / OUTPUT_SCALES)
+    agents = torch.from_numpy(samples.agents.astype(np.float32))
+    counts = torch.from_numpy(np.where(_known(samples), 1.0, 0.0).astype(np.float32))
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         sizes = (FEATURES, _WIDTH, _WIDTH, _WIDTH, OUTPUTS)

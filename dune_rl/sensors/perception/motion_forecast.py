@@ -31,9 +31,6 @@ _FARTHEST_M, _FASTEST_MPS, _OLDEST_S, _MOST_RAYS = 2.0, 3.0, 5.0, 20.0
 # places ahead.
 FEATURES = 6 * HISTORY_STEPS + 9
 OUTPUTS = 1 + 2 * (2 + len(AHEAD_S))
-# Features (F,) of a track times this are those of its mirror image: the sideways ones change their signs.
-MIRROR = np.ones(FEATURES, np.float32)
-MIRROR[[*range(1, 2 * HISTORY_STEPS, 2), 6 * HISTORY_STEPS + 1, FEATURES - 1]] = -1.0
 _LAYERS = 4
 
 
