@@ -13,6 +13,7 @@ from dune_rl.env.requests import AgentRequest
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.sensors.perception import dynamic_window
 from dune_rl.sensors.perception.dynamic_window import RESPONSE, STEPS, predict_actors, score_commands
+from dune_rl.sensors.perception.low_obstacles import LowObstacles
 from dune_rl.state.command_grid import CommandGridConf, command_grid
 
 SENSORS = {**PERCEPTION, "command_costs": {}}
@@ -20,9 +21,11 @@ COMMANDS = command_grid(CommandGridConf(), -1.0, 1.0)
 STANDING = ~COMMANDS.any(axis=1)
 
 
-def costs_after(steps: int, *boxes: Any, goal: tuple[float, float] = (3.0, 0.0), **settings: Any) -> Any:
+def costs_after(
+    steps: int, *boxes: Any, goal: tuple[float, float] = (3.0, 0.0), sensors: Any = SENSORS, **settings: Any
+) -> Any:
     """The costs (C,) for a rover at (-2, 0) that faces along x and has stood there, and the simulation."""
-    simulation = simulation_on(plain(*boxes), sensors=SENSORS, **settings)
+    simulation = simulation_on(plain(*boxes), sensors=sensors, **settings)
     simulation.reset(requests={0: {"rover_0": AgentRequest((-2.0, 0.0, 0.0), goal)}})
     for _ in range(steps):
         simulation.step({"rover": np.zeros((1, 1, 2))})
@@ -51,6 +54,19 @@ def test_commands_into_a_wall_cost_more_than_those_round_it() -> None:
     straight = full & (COMMANDS[:, 1] == 0.0)
     assert heading < 0.0
     assert costs[straight] > costs.min() + 1.0
+    simulation.close()
+
+
+def test_a_gap_that_the_robot_fits_through_is_open() -> None:
+    # It is 0.6 m wide, between posts that both the scan and the sight of the ground see.
+    posts = [box(-1.4, side * 0.375, 0.15, 0.15, 0.8) for side in (-1.0, 1.0)]
+    seen_low = {"ground_profile": {}, "low_obstacles": {}, "way_left": {"low_obstacles": "low_obstacles"}}
+    costs, simulation = costs_after(12, *posts, sensors={**SENSORS, **seen_low})
+    suite = simulation.group("rover").suite
+    assert suite is not None
+    low = suite.sensors["low_obstacles"]
+    assert isinstance(low, LowObstacles) and low.map[0].any()
+    assert costs[(COMMANDS == (1.0, 0.0)).all(axis=1)] < 4.0
     simulation.close()
 
 

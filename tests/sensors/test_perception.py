@@ -152,12 +152,21 @@ def test_where_the_ground_ends_is_a_step() -> None:
         simulation.close()
 
 
-@pytest.mark.parametrize(("height_m", "is_known"), [(0.07, True), (0.02, False)])
-def test_a_stone_stands_out_of_the_ground_around(height_m: float, is_known: bool) -> None:
-    simulation = on_ground(box(-2.0 + 0.174 + 1.2, 0.0, 0.15, 0.15, height_m), task={"terminations": {}})
-    for _ in range(10):
+@pytest.mark.parametrize(
+    ("sizes_m", "is_known"),
+    [((0.15, 0.15, 0.07), True), ((0.15, 0.15, 0.02), False), ((0.09, 1.2, 0.045), True)],
+    ids=["stone", "pebble", "plank"],
+)
+def test_a_stone_or_a_plank_stands_out_of_the_ground_around(
+    sizes_m: tuple[float, float, float], is_known: bool
+) -> None:
+    simulation = on_ground(box(-2.0 + 0.174 + 1.2, 0.0, *sizes_m), task={"terminations": {}})
+    ahead = []
+    for _ in range(60):
         act(simulation, [0.3, 0.0])
-    assert (readings(simulation)["low_obstacles"][28:36].min() < 1.5) == is_known
+        ahead.append(readings(simulation)["low_obstacles"][28:36].min() < 1.5)
+    assert np.mean(ahead) > 0.5 if is_known else not any(ahead)
+    assert ahead[-1] == is_known
     simulation.close()
 
 

@@ -22,7 +22,6 @@ from dune_rl.sensors.perception.dynamic_window import (
     score_commands,
     window_vehicle,
 )
-from dune_rl.sensors.perception.local_map import no_low_obstacles
 from dune_rl.sensors.perception.motion_forecast import AHEAD_S
 from dune_rl.sensors.perception.stuck_recovery import StuckRecovery
 from dune_rl.sensors.perception.way_left import WayLeft
@@ -36,8 +35,8 @@ from dune_rl.state.state import GroupState, State
 _CELL_M, _CELLS = 0.0625, 96
 # Obstacles farther than this from a place do not matter there, and returns from farther are left out [m].
 _FAR_M, _FARTHEST_M = 0.8, 4.0
-# Half the width of a low obstacle's cell.
-_LOW_RADIUS_M = 0.05
+# A low obstacle is a disc of this radius, about the last of the highest hits in its cell [m].
+_LOW_RADIUS_M = 0.03
 # A waypoint is the cell with the least way left on a circle of this radius [m].
 _AHEAD_M = 0.8
 # Radius of the circle that stands for what moves, and where it is if there is nothing [m].
@@ -107,6 +106,10 @@ class CommandCosts(VectorSensor):
         self._fields, self._clearances = np.zeros((2, *cells), np.float32)
         self._waypoints = np.zeros(cells, np.int32)
         self._circle = _circle()
+        self._no_low = (
+            np.zeros((context.num_rows, 0, 0), bool),
+            np.zeros((context.num_rows, 0, 0, 2), np.float32),
+        )
         self._begins, self._is_due = np.ones(context.num_rows, bool), True
 
     def begin(self, mask: Flags, now: GroupState, state: State) -> None:
@@ -150,13 +153,12 @@ class CommandCosts(VectorSensor):
         tracks, way = self._tracks, self._way
         tracker, low = tracks.tracker, way.low_obstacles
         poses = tracker.poses.copy()
-        num = len(poses)
         ranges = tracks.beams
         rests = (ranges < min(_FARTHEST_M, tracks.lidar.range_m - 1e-3)) & ~tracks.moving_beams
         goals = out_of_frames(frames_of_poses(poses), tracks.goals()[:, None])[:, 0]
-        steps, places, cell_m = no_low_obstacles(num) if low is None else low.map
+        steps, points = self._no_low if low is None else (low.map[0], low.points)
         _fill_windows(
-            poses, tracks.mount, self._bearings, ranges, rests, steps, places, cell_m,
+            poses, tracks.mount, self._bearings, ranges, rests, steps, points,
             way.map.ways, way.map.origins, goals, self._begins, self._circle, self._grids, self._fields,
             self._waypoints, self._clearances,
         )  # fmt: skip
@@ -199,15 +201,15 @@ class CommandCosts(VectorSensor):
 
 @compile_function
 def _fill_windows(
-    poses: Any, mount: Any, bearings: Any, ranges: Any, rests: Any, steps: Any, places: Any, cell_m: float,
+    poses: Any, mount: Any, bearings: Any, ranges: Any, rests: Any, steps: Any, points: Any,
     ways: Any, origins: Any, goals: Any, begins: Any, circle: Any, grids: Any, fields: Any,
     waypoints: Any, clearances: Any,
 ) -> None:  # fmt: skip
     """Fill the square grids around `poses` (N, 3): way left, waypoints, and distances of obstacles [m].
 
     Where an episode `begins` (N,), the ways to the `goals` (N, 2) are straight. Obstacles are where beams end
-    that meet something at `rests` (N, B), and low ones where `steps` tells, as in `update_maps`. Grids and
-    their values are as in `dynamic_window`.
+    that meet something at `rests` (N, B), and low ones at those `points` (N, C, C, 2) [m] where `steps`
+    (N, C, C) tells. Grids and their values are as in `dynamic_window`.
     """
     for row in range(len(poses)):
         pose, field, clearance = poses[row], fields[row], clearances[row]
@@ -235,8 +237,7 @@ def _fill_windows(
         for line in range(steps.shape[1]):
             for column in range(steps.shape[2]):
                 if steps[row, line, column]:
-                    at_x = (places[row, line, column, 0] + 0.5) * cell_m - left
-                    at_y = (places[row, line, column, 1] + 0.5) * cell_m - bottom
+                    at_x, at_y = points[row, line, column, 0] - left, points[row, line, column, 1] - bottom
                     _enter_obstacle(at_x, at_y, _LOW_RADIUS_M, clearance)
         _find_waypoints(field, circle, waypoints[row])
 

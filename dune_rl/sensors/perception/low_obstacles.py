@@ -25,11 +25,15 @@ _REACH = 2
 # So is one this far over the plane through at least so many cells there; a little keeps the plane level where
 # these do not fix its slope [cells²].
 _BUMP_M, _LEAST_CELLS, _LEVELLING = 0.045, 6.0, 1.0
+# And one this far over as many lower cells, if the standard deviation of their heights is below this [m] and
+# they are all around: their middle is this near [cells].
+_EDGE_M, _LOWER_M, _LEVEL_M, _AMID = 0.03, 0.02, 0.004, 0.6
 # Heights that differ from the map's by more than this, in the middle of at least so many hits, are the
 # odometry's drift, not the ground's [m].
 _DRIFT_M, _LEAST_HITS = 0.02, 12
-# A lower height takes the place of a higher one by this share in each look.
-_NEW_SHARE = 0.3
+# A lower height takes the place of a higher one by this share in each look. A hit that is lower by no more
+# than this is one of the highest of its cell [m].
+_NEW_SHARE, _AS_HIGH_M = 0.3, 0.03
 # Hits this near to what moves are taken for its own, also those on stones there.
 _MOVING_M = 0.5
 _NEAREST_M = 0.1
@@ -54,10 +58,13 @@ class LowObstacles(VectorSensor):
     """The reading `name`, (N, n_segments) [m]: distance of the nearest step in each segment of a scan.
 
     Steps are where the ground rises by more than 5 cm beyond a slope, or stands out of the plane around by
-    4.5 cm: stones, bricks, kerbs, walls; and where the ground ends. Segments and distances are from the
-    LiDAR's mount. Heights are those of the rays' hits, by the robot's attitude and odometry and by ground
-    that is seen again; hits within 0.5 m of what moves are left out, and a step fades where lower ground is
-    seen.
+    4.5 cm, or of level ground by 3 cm: stones, bricks, kerbs, planks, walls; and where the ground ends.
+    Segments and distances are from the LiDAR's mount. Heights are those of the rays' hits, by the robot's
+    attitude and odometry and by ground that is seen again; hits within 0.5 m of what moves are left out, and
+    a step fades where lower ground is seen.
+
+    `points` (N, C, C, 2) [m] are where in each cell of the `map` the last of its highest hits was, in the
+    frame of the odometry.
     """
 
     def __init__(self, name: str, context: SensorContext, conf: LowObstaclesConf) -> None:
@@ -74,6 +81,7 @@ class LowObstacles(VectorSensor):
         self._heights = np.zeros(shape, np.float32)
         self._places = np.full((*shape, 2), np.iinfo(np.int32).min, np.int32)
         self._steps = np.zeros(shape, bool)
+        self.points = np.zeros((*shape, 2), np.float32)
         self._climbed_m, self._places_before = np.zeros(context.num_rows), np.zeros((context.num_rows, 2))
 
     def begin(self, mask: Flags, now: GroupState, state: State) -> None:
@@ -109,7 +117,7 @@ class LowObstacles(VectorSensor):
         _update(
             mask, tracker.poses, tracks.mount, tracks.bearings, tracker.moving, tracker.moving_counts,
             self._climbed_m, profile.points, profile.sees, profile.drops, self._heights, self._places,
-            self._steps, self._high[0], found,
+            self._steps, self.points, self._high[0], found,
         )  # fmt: skip
         self._store(found)
 
@@ -117,7 +125,8 @@ class LowObstacles(VectorSensor):
 @compile_function
 def _update(
     mask: Any, poses: Any, mount: Any, bearings: Any, movers: Any, mover_counts: Any, height: Any,
-    points: Any, sees: Any, drops: Any, heights: Any, places: Any, steps: Any, farthest: float, found: Any,
+    points: Any, sees: Any, drops: Any, heights: Any, places: Any, steps: Any, highest: Any, farthest: float,
+    found: Any,
 ) -> None:  # fmt: skip
     """Enter hits into the maps of the rows in `mask` (N,), and find their nearest steps, `found` (N, S) [m].
 
@@ -126,18 +135,20 @@ def _update(
     `mover_counts` of them in a row, is what moves, in the robots' frames. `points` (N, P, 3) [m] are the hits
     in level frames with the robots' headings, over the robots' ground, `sees` (N, P) which rays have one, and
     `drops` (N, P) those over the end of the ground. Maps are `heights` (N, C, C) [m], `places` (N, C, C, 2),
-    the numbers of cells that they are of, and `steps` (N, C, C).
+    the numbers of cells that they are of, `steps` (N, C, C), and `highest` (N, C, C, 2) [m], as
+    `LowObstacles.points`.
     """
     count = points.shape[1]
-    hits, cells = np.empty(count, np.bool_), np.empty((count, 2), np.int64)
+    hits, cells, at = np.empty(count, np.bool_), np.empty((count, 2), np.int64), np.empty((count, 2))
     for row in range(len(poses)):
         if not mask[row]:
             continue
-        _find_cells(poses[row], points[row], cells)
+        _find_cells(poses[row], points[row], cells, at)
         _leave_out_moving(points[row], movers[row, : mover_counts[row]], sees[row], hits)
         height[row] -= _drift_of(cells, height[row], points[row], hits, heights[row], places[row], steps[row])
-        _enter(cells, height[row], points[row], hits, heights[row], places[row], steps[row])
-        _enter_drops(cells, height[row], drops[row], heights[row], places[row], steps[row])
+        layers = heights[row], places[row], steps[row], highest[row]
+        _enter(cells, at, height[row], points[row], hits, *layers)
+        _enter_drops(cells, at, height[row], drops[row], *layers)
         _look_around(poses[row], mount, bearings, places[row], steps[row], farthest, found[row])
 
 
@@ -152,13 +163,17 @@ def _leave_out_moving(points: Any, movers: Any, sees: Any, hits: Any) -> None:
 
 
 @compile_function
-def _find_cells(pose: Any, points: Any, cells: Any) -> None:
-    """Numbers (x, y) of the cells in the odometry's frame, `cells` (P, 2), of points (P, 3) in the body's."""
+def _find_cells(pose: Any, points: Any, cells: Any, at: Any) -> None:
+    """Where points (P, 3) in the body's frame are in the odometry's, `at` (P, 2) [m], and the numbers (x, y)
+    of their cells, `cells` (P, 2).
+    """
     cos, sin = np.cos(pose[2]), np.sin(pose[2])
     for number in range(len(points)):
         ahead, left = points[number, 0], points[number, 1]
-        cells[number, 0] = np.int64(np.floor((pose[0] + cos * ahead - sin * left) / _CELL_M))
-        cells[number, 1] = np.int64(np.floor((pose[1] + sin * ahead + cos * left) / _CELL_M))
+        at[number, 0] = pose[0] + cos * ahead - sin * left
+        at[number, 1] = pose[1] + sin * ahead + cos * left
+        cells[number, 0] = np.int64(np.floor(at[number, 0] / _CELL_M))
+        cells[number, 1] = np.int64(np.floor(at[number, 1] / _CELL_M))
 
 
 @compile_function
@@ -184,11 +199,12 @@ def _drift_of(
 
 @compile_function
 def _enter(
-    cells: Any, height: float, points: Any, hits: Any, heights: Any, places: Any, steps: Any
+    cells: Any, at: Any, height: float, points: Any, hits: Any, heights: Any, places: Any, steps: Any,
+    highest: Any,
 ) -> None:  # fmt: skip
-    """Enter the `hits` (P,) among `points` (P, 3), which are in `cells` (P, 2), into a map."""
+    """Enter the `hits` (P,) among `points` (P, 3), which are `at` (P, 2) in `cells` (P, 2), into a map."""
     # By how much a step rises over a cell `up` and `right` of it [m]; negative indices count from the end.
-    plane, leasts = np.empty(9), np.empty((2 * _REACH + 1, 2 * _REACH + 1))
+    plane, level, leasts = np.empty(9), np.empty(5), np.empty((2 * _REACH + 1, 2 * _REACH + 1))
     for up in range(-_REACH, _REACH + 1):
         for right in range(-_REACH, _REACH + 1):
             leasts[up, right] = _STEP_M + _SLOPE * _CELL_M * np.hypot(up, right)
@@ -198,26 +214,36 @@ def _enter(
         x, y = cells[number, 0], cells[number, 1]
         z = points[number, 2] + height
         row, column = y % _CELLS, x % _CELLS
+        is_highest = True
         if places[row, column, 0] == x and places[row, column, 1] == y:
             before = heights[row, column]
+            is_highest = z > before - _AS_HIGH_M
             z = max(z, before + _NEW_SHARE * (z - before))
+        if is_highest:
+            highest[row, column] = at[number]
         places[row, column, 0], places[row, column, 1] = x, y
         heights[row, column] = z
         is_step = False
-        plane[:] = 0.0
+        plane[:], level[:] = 0.0, 0.0
         for up in range(-_REACH, _REACH + 1):
             for right in range(-_REACH, _REACH + 1):
                 other, beside = _wrapped(row + up), _wrapped(column + right)
                 if places[other, beside, 0] != x + right or places[other, beside, 1] != y + up:
                     continue
+                rise = z - heights[other, beside]
                 if not steps[other, beside] and (up != 0 or right != 0):
                     _add_to_plane(heights[other, beside], float(right), float(up), plane)
-                rise = z - heights[other, beside]
+                    if rise > _LOWER_M:
+                        level[0] += 1.0
+                        level[1] += rise
+                        level[2] += rise * rise
+                        level[3] += right
+                        level[4] += up
                 if rise > leasts[up, right]:
                     is_step = True
                 elif -rise > leasts[up, right]:
                     steps[other, beside] = True
-        steps[row, column] = is_step or _height_over(plane, z) > _BUMP_M
+        steps[row, column] = is_step or _height_over(plane, z) > _BUMP_M or _is_edge(level)
 
 
 @compile_function
@@ -230,15 +256,16 @@ def _wrapped(index: int) -> int:
 
 @compile_function
 def _enter_drops(
-    cells: Any, height: float, drops: Any, heights: Any, places: Any, steps: Any
-) -> None:  # fmt: skip
-    """Enter the `drops` (P,), which are in `cells` (P, 2), into a map, as steps at the robot's own level."""
+    cells: Any, at: Any, height: float, drops: Any, heights: Any, places: Any, steps: Any, highest: Any
+) -> None:
+    """Enter the `drops` (P,), `at` (P, 2) in `cells` (P, 2), into a map, as steps at the robot's level."""
     for number in range(len(drops)):
         if drops[number]:
             x, y = cells[number, 0], cells[number, 1]
             row, column = y % _CELLS, x % _CELLS
             places[row, column, 0], places[row, column, 1] = x, y
             heights[row, column], steps[row, column] = height, True
+            highest[row, column] = at[number]
 
 
 @compile_function
@@ -253,6 +280,20 @@ def _add_to_plane(height: float, along: float, across: float, plane: Any) -> Non
     plane[6] += across * across
     plane[7] += along * height
     plane[8] += across * height
+
+
+@compile_function
+def _is_edge(level: Any) -> bool:
+    """Whether a cell is over level ground, by the sums (5,) over lower cells: 1, its rise over them, the
+    square of that, and how far they are to the right and up.
+    """
+    count = level[0]
+    if count < _LEAST_CELLS:
+        return False
+    mean, right, up = level[1] / count, level[3] / count, level[4] / count
+    is_level = level[2] / count - mean * mean < _LEVEL_M * _LEVEL_M
+    result: bool = mean > _EDGE_M and is_level and right * right + up * up < _AMID * _AMID
+    return result
 
 
 @compile_function
