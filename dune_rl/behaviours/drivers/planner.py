@@ -25,6 +25,8 @@ from dune_rl.worlds.world import World
 
 # Routes lead through gaps with this room on either side.
 _SIDE_ROOM_M = 0.08
+# What it costs to have no room at all beside obstacles [m/s].
+_MARGIN_COST_PER_S = 4.0
 # Time constant of the filter of yaw rates [s].
 _FILTER_S = 0.2
 # A body that turns by more within a step has turned round, and goes straight on.
@@ -121,7 +123,8 @@ class Planner(BoundBehaviour):
         return Situation(
             poses, twists, self._grids, self._fields, self._waypoints, self._clearances, actors,
             self._predict(actors), group.goal.position_w,
-            window_vehicle(vehicle, self._margin_m, self._speed_mps), RESPONSE, self._recovery.recovering,
+            window_vehicle(vehicle, (self._margin_m, _MARGIN_COST_PER_S), self._speed_mps), RESPONSE,
+            self._recovery.recovering,
         )  # fmt: skip
 
     @property

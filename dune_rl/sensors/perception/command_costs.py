@@ -43,8 +43,8 @@ _AHEAD_M = 0.8
 _MOVER_RADIUS_M, _NOWHERE_M = 0.35, 1e4
 # A robot may be waiting for what moves within this of its outline [m].
 _WAITS_M = 1.0
-# Room that commands should keep beside obstacles [m].
-_MARGIN_M = 0.1
+# Room that commands should keep beside obstacles [m], and what it costs to have none [m/s].
+_MARGIN = 0.1, 8.0
 # Shares (STEPS, 1 + A) of where what moves is, and will be after AHEAD_S, in its places at the steps.
 _BETWEEN = np.column_stack(
     [np.interp(STEP_S * np.arange(1, STEPS + 1), (0.0, *AHEAD_S), each) for each in np.eye(1 + len(AHEAD_S))]
@@ -94,7 +94,7 @@ class CommandCosts(VectorSensor):
         self._bearings = np.ascontiguousarray(beam_angles(self._tracks.lidar))
         self._commands = np.column_stack([self.actions[:, 0], vehicle.yaw_rates(self.actions[:, 1])])
         gap_error = conf.gap_error_m, conf.gap_error_growth_mps
-        self._limits = window_vehicle(vehicle, _MARGIN_M, gap_error=gap_error)
+        self._limits = window_vehicle(vehicle, _MARGIN, gap_error=gap_error)
         self._recovery = StuckRecovery(context.num_rows)
         self._step_s, self._length_m = context.step_s, vehicle.length_m
         self._speeds = vehicle.min_speed_mps, vehicle.max_speed_mps

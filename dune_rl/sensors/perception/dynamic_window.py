@@ -2,8 +2,8 @@
 
 `vehicle`, of `window_vehicle`, is (lowest speed [m/s], highest, largest yaw rate [rad/s], smallest turning
 radius [m], distance [m] of the outer discs from the origin, the discs' radius [m], radius of the circle round
-all [m], margin [m] beside static obstacles, standard deviation of gaps to what moves: now [m], and its growth
-[m/s]; 0: they are exact).
+all [m], room [m] to keep beside static obstacles, and what it costs to have none [m/s], standard deviation of
+gaps to what moves: now [m], and its growth [m/s]; 0: they are exact).
 `response` is (largest acceleration [m/s²], largest yaw acceleration [rad/s²]). A grid is (x [m] and y of its
 first cell's centre, cells per metre, number of rows, number of columns), its values row after row.
 """
@@ -39,7 +39,6 @@ _LIKELY = 3.0
 _BRAKE_S = 0.6
 _BLOCKED_COST = 0.5
 _NEAR_COST_PER_S = 2.5
-_MARGIN_COST_PER_S = 4.0
 _TOUCHING_COST_PER_S = 6.0
 _MARGIN_M = 0.05
 _DEEPER_M = 0.03
@@ -73,7 +72,7 @@ class Situation(NamedTuple):
 
 def window_vehicle(
     vehicle: Unicycle,
-    margin_m: float,
+    margin: tuple[float, float],
     speed_mps: float = math.inf,
     gap_error: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[float, ...]:
@@ -87,7 +86,7 @@ def window_vehicle(
         reach,
         math.hypot(reach / 2, vehicle.width_m / 2),
         vehicle.footprint_radius_m,
-        margin_m,
+        *margin,
         *gap_error,
     )
 
@@ -209,7 +208,7 @@ def _least_left(pose: Any, goal: Any, grid: Any, field: Any, reach: float) -> fl
 def _in_reach(pose: Any, actors: Any, places: Any, vehicle: Any, reach: float) -> Any:
     """The `actors` (K, 6) and `places` (T, K, 2) that a look ahead `reach` [m] far may come near to."""
     around = max(vehicle[6], vehicle[4] + vehicle[5])
-    near = max(_NEAR_ACTOR_M, _LIKELY * (vehicle[8] + vehicle[9] * len(places) * STEP_S))
+    near = max(_NEAR_ACTOR_M, _LIKELY * (vehicle[9] + vehicle[10] * len(places) * STEP_S))
     numbers, count = np.empty(len(actors), np.int64), 0
     for number in range(len(actors)):
         limit = reach + around + near + actors[number, 5] + _ROUNDING_M
@@ -270,13 +269,13 @@ def _command_cost(
                 x, y, yaw = last_x, last_y, last_yaw
                 break
             near += _TOUCHING_COST_PER_S * STEP_S * (1.0 - static / _MARGIN_M)
-        spread = vehicle[8] + vehicle[9] * time
+        spread = vehicle[9] + vehicle[10] * time
         if spread > 0.0 and moving < _LIKELY * spread:
             chance = 0.5 * math.erfc(max(moving, 0.0) / (math.sqrt(2.0) * spread))
             risk = max(risk, chance * _HIT_COST * np.exp(-time / _HIT_DECAY_S))
         pace = 0.3 + abs(speed)
         near += _NEAR_COST_PER_S * pace * STEP_S * max(0.0, 1.0 - max(static, 0.0) / _NEAR_STATIC_M) ** 2
-        near += _MARGIN_COST_PER_S * STEP_S * max(0.0, 1.0 - max(static, 0.0) / vehicle[7])
+        near += vehicle[8] * STEP_S * max(0.0, 1.0 - max(static, 0.0) / vehicle[7])
         near += _NEAR_COST_PER_S * STEP_S * max(0.0, 1.0 - max(moving, 0.0) / _NEAR_ACTOR_M) ** 2
         if near + risk + least_left > best and not recovers:
             return np.inf
