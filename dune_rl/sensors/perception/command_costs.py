@@ -44,7 +44,7 @@ _MOVER_RADIUS_M, _NOWHERE_M = 0.35, 1e4
 # A robot may be waiting for what moves within this of its outline [m].
 _WAITS_M = 1.0
 # Room that commands should keep beside obstacles [m], and what it costs to have none [m/s].
-_MARGIN = 0.1, 8.0
+_MARGIN = 0.1, 6.0
 # Shares (STEPS, 1 + A) of where what moves is, and will be after AHEAD_S, in its places at the steps.
 _BETWEEN = np.column_stack(
     [np.interp(STEP_S * np.arange(1, STEPS + 1), (0.0, *AHEAD_S), each) for each in np.eye(1 + len(AHEAD_S))]
