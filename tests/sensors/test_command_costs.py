@@ -57,8 +57,9 @@ def test_commands_into_a_wall_cost_more_than_those_round_it() -> None:
     simulation.close()
 
 
-def test_a_gap_that_the_robot_fits_through_is_open() -> None:
-    # It is 0.6 m wide, between posts that both the scan and the sight of the ground see.
+def test_low_obstacles_reach_no_farther_than_where_rays_met_them() -> None:
+    # The gap is 0.6 m wide, between posts that both the scan and the sight of the ground see. By whole cells
+    # of the map, to drive on would be a contact, which costs the most there is.
     posts = [box(-1.4, side * 0.375, 0.15, 0.15, 0.8) for side in (-1.0, 1.0)]
     seen_low = {"ground_profile": {}, "low_obstacles": {}, "way_left": {"low_obstacles": "low_obstacles"}}
     costs, simulation = costs_after(12, *posts, sensors={**SENSORS, **seen_low})

@@ -35,7 +35,7 @@ from dune_rl.state.state import GroupState, State
 _CELL_M, _CELLS = 0.0625, 96
 # Obstacles farther than this from a place do not matter there, and returns from farther are left out [m].
 _FAR_M, _FARTHEST_M = 0.8, 4.0
-# A low obstacle is a disc of this radius, about the last of the highest hits in its cell [m].
+# A low obstacle is a disc of this radius about where its cell was met [m]; a part of it may be beyond.
 _LOW_RADIUS_M = 0.03
 # A waypoint is the cell with the least way left on a circle of this radius [m].
 _AHEAD_M = 0.8
@@ -54,11 +54,11 @@ _BETWEEN = np.column_stack(
 class CommandCostsConf(SensorSettings):
     """What each command of a grid would cost, by simulating it for 2.5 s over what the robot has seen.
 
-    It is the dynamic window of the driver `planner` with readings in place of the truth: the returns of the
-    LiDAR, low obstacles, tracks or their forecast, and the way left. Gaps to tracks are uncertain, and the
-    more the later; what a contact costs counts by its probability. To a robot that nobody moves near, and
-    that has stayed at a place for 4 s, or for 2 s while it was to drive, for 1.5 s those commands are cheap
-    that lead away.
+    It is the dynamic window of the driver `planner`, to which room beside obstacles is worth less, with
+    readings in place of the truth: the returns of the LiDAR, low obstacles, tracks or their forecast, and the
+    way left. Gaps to tracks are uncertain, and the more the later; what a contact costs counts by its
+    probability. To a robot that nobody moves near, and that has stayed at a place for 4 s, or for 2 s while
+    it was to drive, for 1.5 s those commands are cheap that lead away.
     """
 
     sensor: Literal["command_costs"] = "command_costs"
@@ -156,9 +156,9 @@ class CommandCosts(VectorSensor):
         ranges = tracks.beams
         rests = (ranges < min(_FARTHEST_M, tracks.lidar.range_m - 1e-3)) & ~tracks.moving_beams
         goals = out_of_frames(frames_of_poses(poses), tracks.goals()[:, None])[:, 0]
-        steps, points = self._no_low if low is None else (low.map[0], low.points)
+        steps, met_at = self._no_low if low is None else (low.map[0], low.met_at)
         _fill_windows(
-            poses, tracks.mount, self._bearings, ranges, rests, steps, points,
+            poses, tracks.mount, self._bearings, ranges, rests, steps, met_at,
             way.map.ways, way.map.origins, goals, self._begins, self._circle, self._grids, self._fields,
             self._waypoints, self._clearances,
         )  # fmt: skip
@@ -201,15 +201,15 @@ class CommandCosts(VectorSensor):
 
 @compile_function
 def _fill_windows(
-    poses: Any, mount: Any, bearings: Any, ranges: Any, rests: Any, steps: Any, points: Any,
+    poses: Any, mount: Any, bearings: Any, ranges: Any, rests: Any, steps: Any, met_at: Any,
     ways: Any, origins: Any, goals: Any, begins: Any, circle: Any, grids: Any, fields: Any,
     waypoints: Any, clearances: Any,
 ) -> None:  # fmt: skip
     """Fill the square grids around `poses` (N, 3): way left, waypoints, and distances of obstacles [m].
 
     Where an episode `begins` (N,), the ways to the `goals` (N, 2) are straight. Obstacles are where beams end
-    that meet something at `rests` (N, B), and low ones at those `points` (N, C, C, 2) [m] where `steps`
-    (N, C, C) tells. Grids and their values are as in `dynamic_window`.
+    that meet something at `rests` (N, B), and low ones at those places `met_at` (N, C, C, 2) [m]
+    where `steps` (N, C, C) tells. Grids and their values are as in `dynamic_window`.
     """
     for row in range(len(poses)):
         pose, field, clearance = poses[row], fields[row], clearances[row]
@@ -237,7 +237,7 @@ def _fill_windows(
         for line in range(steps.shape[1]):
             for column in range(steps.shape[2]):
                 if steps[row, line, column]:
-                    at_x, at_y = points[row, line, column, 0] - left, points[row, line, column, 1] - bottom
+                    at_x, at_y = met_at[row, line, column, 0] - left, met_at[row, line, column, 1] - bottom
                     _enter_obstacle(at_x, at_y, _LOW_RADIUS_M, clearance)
         _find_waypoints(field, circle, waypoints[row])
 

@@ -40,7 +40,7 @@ _BRAKE_S = 0.6
 _BLOCKED_COST = 0.5
 _NEAR_COST_PER_S = 2.5
 _TOUCHING_COST_PER_S = 6.0
-_MARGIN_M = 0.05
+_TOUCHING_M = 0.05
 _DEEPER_M = 0.03
 _NEAR_STATIC_M = 0.45
 _NEAR_ACTOR_M = 0.9
@@ -76,7 +76,11 @@ def window_vehicle(
     speed_mps: float = math.inf,
     gap_error: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[float, ...]:
-    """The numbers that the loops read of a vehicle, which is to be no faster than `speed_mps`."""
+    """The numbers that the loops read of a vehicle, which is to be no faster than `speed_mps`.
+
+    `margin` is the room to keep beside static obstacles [m], and what it costs to have none [m/s];
+    `gap_error` the standard deviation of gaps to what moves now [m], and its growth [m/s].
+    """
     reach = vehicle.length_m / _DISCS
     return (
         max(vehicle.min_speed_mps, -speed_mps),
@@ -257,7 +261,7 @@ def _command_cost(
             if moving <= moving_limit:
                 risk = max(risk, _HIT_COST * np.exp(-time / _HIT_DECAY_S))
                 break
-            near += _TOUCHING_COST_PER_S * STEP_S * (1.0 - moving / _MARGIN_M)
+            near += _TOUCHING_COST_PER_S * STEP_S * (1.0 - moving / _TOUCHING_M)
         if static <= 0.0:
             if static <= static_limit:
                 if time < _BRAKE_S:
@@ -268,7 +272,7 @@ def _command_cost(
                     )
                 x, y, yaw = last_x, last_y, last_yaw
                 break
-            near += _TOUCHING_COST_PER_S * STEP_S * (1.0 - static / _MARGIN_M)
+            near += _TOUCHING_COST_PER_S * STEP_S * (1.0 - static / _TOUCHING_M)
         spread = vehicle[9] + vehicle[10] * time
         if spread > 0.0 and moving < _LIKELY * spread:
             chance = 0.5 * math.erfc(max(moving, 0.0) / (math.sqrt(2.0) * spread))

@@ -26,8 +26,8 @@ _REACH = 2
 # these do not fix its slope [cells²].
 _BUMP_M, _LEAST_CELLS, _LEVELLING = 0.045, 6.0, 1.0
 # And one this far over as many lower cells, if the standard deviation of their heights is below this [m] and
-# they are all around: their middle is this near [cells].
-_EDGE_M, _LOWER_M, _LEVEL_M, _AMID = 0.03, 0.02, 0.004, 0.6
+# they are on more sides than one: their middle is this near [cells].
+_LOW_BUMP_M, _LOWER_M, _LEVEL_M, _OFF_CENTRE_CELLS = 0.03, 0.02, 0.004, 0.6
 # Heights that differ from the map's by more than this, in the middle of at least so many hits, are the
 # odometry's drift, not the ground's [m].
 _DRIFT_M, _LEAST_HITS = 0.02, 12
@@ -60,11 +60,11 @@ class LowObstacles(VectorSensor):
     Steps are where the ground rises by more than 5 cm beyond a slope, or stands out of the plane around by
     4.5 cm, or of level ground by 3 cm: stones, bricks, kerbs, planks, walls; and where the ground ends.
     Segments and distances are from the LiDAR's mount. Heights are those of the rays' hits, by the robot's
-    attitude and odometry and by ground that is seen again; hits within 0.5 m of what moves are left out, and
-    a step fades where lower ground is seen.
+    attitude and odometry and by ground that is seen again; hits within 0.5 m of what moves are left out. A
+    step fades where lower ground is seen; one of 3 to 4.5 cm may come and go with each look.
 
-    `points` (N, C, C, 2) [m] are where in each cell of the `map` the last of its highest hits was, in the
-    frame of the odometry.
+    `met_at` (N, C, C, 2) [m] is where each cell of the `map` was hit, in the frame of the odometry: the last
+    time at most 3 cm below its height.
     """
 
     def __init__(self, name: str, context: SensorContext, conf: LowObstaclesConf) -> None:
@@ -81,7 +81,7 @@ class LowObstacles(VectorSensor):
         self._heights = np.zeros(shape, np.float32)
         self._places = np.full((*shape, 2), np.iinfo(np.int32).min, np.int32)
         self._steps = np.zeros(shape, bool)
-        self.points = np.zeros((*shape, 2), np.float32)
+        self.met_at = np.zeros((*shape, 2), np.float32)
         self._climbed_m, self._places_before = np.zeros(context.num_rows), np.zeros((context.num_rows, 2))
 
     def begin(self, mask: Flags, now: GroupState, state: State) -> None:
@@ -117,7 +117,7 @@ class LowObstacles(VectorSensor):
         _update(
             mask, tracker.poses, tracks.mount, tracks.bearings, tracker.moving, tracker.moving_counts,
             self._climbed_m, profile.points, profile.sees, profile.drops, self._heights, self._places,
-            self._steps, self.points, self._high[0], found,
+            self._steps, self.met_at, self._high[0], found,
         )  # fmt: skip
         self._store(found)
 
@@ -125,7 +125,7 @@ class LowObstacles(VectorSensor):
 @compile_function
 def _update(
     mask: Any, poses: Any, mount: Any, bearings: Any, movers: Any, mover_counts: Any, height: Any,
-    points: Any, sees: Any, drops: Any, heights: Any, places: Any, steps: Any, highest: Any, farthest: float,
+    points: Any, sees: Any, drops: Any, heights: Any, places: Any, steps: Any, met_at: Any, farthest: float,
     found: Any,
 ) -> None:  # fmt: skip
     """Enter hits into the maps of the rows in `mask` (N,), and find their nearest steps, `found` (N, S) [m].
@@ -135,8 +135,8 @@ def _update(
     `mover_counts` of them in a row, is what moves, in the robots' frames. `points` (N, P, 3) [m] are the hits
     in level frames with the robots' headings, over the robots' ground, `sees` (N, P) which rays have one, and
     `drops` (N, P) those over the end of the ground. Maps are `heights` (N, C, C) [m], `places` (N, C, C, 2),
-    the numbers of cells that they are of, `steps` (N, C, C), and `highest` (N, C, C, 2) [m], as
-    `LowObstacles.points`.
+    the numbers of cells that they are of, `steps` (N, C, C), and `met_at` (N, C, C, 2) [m], as
+    `LowObstacles.met_at`.
     """
     count = points.shape[1]
     hits, cells, at = np.empty(count, np.bool_), np.empty((count, 2), np.int64), np.empty((count, 2))
@@ -146,7 +146,7 @@ def _update(
         _find_cells(poses[row], points[row], cells, at)
         _leave_out_moving(points[row], movers[row, : mover_counts[row]], sees[row], hits)
         height[row] -= _drift_of(cells, height[row], points[row], hits, heights[row], places[row], steps[row])
-        layers = heights[row], places[row], steps[row], highest[row]
+        layers = heights[row], places[row], steps[row], met_at[row]
         _enter(cells, at, height[row], points[row], hits, *layers)
         _enter_drops(cells, at, height[row], drops[row], *layers)
         _look_around(poses[row], mount, bearings, places[row], steps[row], farthest, found[row])
@@ -200,11 +200,11 @@ def _drift_of(
 @compile_function
 def _enter(
     cells: Any, at: Any, height: float, points: Any, hits: Any, heights: Any, places: Any, steps: Any,
-    highest: Any,
+    met_at: Any,
 ) -> None:  # fmt: skip
     """Enter the `hits` (P,) among `points` (P, 3), which are `at` (P, 2) in `cells` (P, 2), into a map."""
     # By how much a step rises over a cell `up` and `right` of it [m]; negative indices count from the end.
-    plane, level, leasts = np.empty(9), np.empty(5), np.empty((2 * _REACH + 1, 2 * _REACH + 1))
+    plane, lower, leasts = np.empty(9), np.empty(5), np.empty((2 * _REACH + 1, 2 * _REACH + 1))
     for up in range(-_REACH, _REACH + 1):
         for right in range(-_REACH, _REACH + 1):
             leasts[up, right] = _STEP_M + _SLOPE * _CELL_M * np.hypot(up, right)
@@ -220,11 +220,11 @@ def _enter(
             is_highest = z > before - _AS_HIGH_M
             z = max(z, before + _NEW_SHARE * (z - before))
         if is_highest:
-            highest[row, column] = at[number]
+            met_at[row, column] = at[number]
         places[row, column, 0], places[row, column, 1] = x, y
         heights[row, column] = z
         is_step = False
-        plane[:], level[:] = 0.0, 0.0
+        plane[:], lower[:] = 0.0, 0.0
         for up in range(-_REACH, _REACH + 1):
             for right in range(-_REACH, _REACH + 1):
                 other, beside = _wrapped(row + up), _wrapped(column + right)
@@ -234,16 +234,16 @@ def _enter(
                 if not steps[other, beside] and (up != 0 or right != 0):
                     _add_to_plane(heights[other, beside], float(right), float(up), plane)
                     if rise > _LOWER_M:
-                        level[0] += 1.0
-                        level[1] += rise
-                        level[2] += rise * rise
-                        level[3] += right
-                        level[4] += up
+                        lower[0] += 1.0
+                        lower[1] += rise
+                        lower[2] += rise * rise
+                        lower[3] += right
+                        lower[4] += up
                 if rise > leasts[up, right]:
                     is_step = True
                 elif -rise > leasts[up, right]:
                     steps[other, beside] = True
-        steps[row, column] = is_step or _height_over(plane, z) > _BUMP_M or _is_edge(level)
+        steps[row, column] = is_step or _height_over(plane, z) > _BUMP_M or _is_low_bump(lower)
 
 
 @compile_function
@@ -256,7 +256,7 @@ def _wrapped(index: int) -> int:
 
 @compile_function
 def _enter_drops(
-    cells: Any, at: Any, height: float, drops: Any, heights: Any, places: Any, steps: Any, highest: Any
+    cells: Any, at: Any, height: float, drops: Any, heights: Any, places: Any, steps: Any, met_at: Any
 ) -> None:
     """Enter the `drops` (P,), `at` (P, 2) in `cells` (P, 2), into a map, as steps at the robot's level."""
     for number in range(len(drops)):
@@ -265,7 +265,7 @@ def _enter_drops(
             row, column = y % _CELLS, x % _CELLS
             places[row, column, 0], places[row, column, 1] = x, y
             heights[row, column], steps[row, column] = height, True
-            highest[row, column] = at[number]
+            met_at[row, column] = at[number]
 
 
 @compile_function
@@ -283,16 +283,18 @@ def _add_to_plane(height: float, along: float, across: float, plane: Any) -> Non
 
 
 @compile_function
-def _is_edge(level: Any) -> bool:
-    """Whether a cell is over level ground, by the sums (5,) over lower cells: 1, its rise over them, the
-    square of that, and how far they are to the right and up.
+def _is_low_bump(lower: Any) -> bool:
+    """Whether a cell stands out of level ground, by the sums (5,) over lower cells around: 1, its rise over
+    them, the square of that, and how far they are to the right and up.
     """
-    count = level[0]
+    count = lower[0]
     if count < _LEAST_CELLS:
         return False
-    mean, right, up = level[1] / count, level[3] / count, level[4] / count
-    is_level = level[2] / count - mean * mean < _LEVEL_M * _LEVEL_M
-    result: bool = mean > _EDGE_M and is_level and right * right + up * up < _AMID * _AMID
+    mean, right, up = lower[1] / count, lower[3] / count, lower[4] / count
+    is_level = lower[2] / count - mean * mean < _LEVEL_M * _LEVEL_M
+    result: bool = (
+        mean > _LOW_BUMP_M and is_level and right * right + up * up < _OFF_CENTRE_CELLS * _OFF_CENTRE_CELLS
+    )
     return result
 
 
