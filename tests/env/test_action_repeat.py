@@ -61,6 +61,7 @@ def test_clients_hold_actions(make: Any) -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_a_resumed_training_repeats_held_actions(tmp_path: Path) -> None:
     conf = environment_conf(
         "flat", physics={"action_repeat": 4}, task={"terminations": {"time_limit": {"max_steps": 30}}}

@@ -160,6 +160,7 @@ def test_a_misspelt_curriculum_is_told() -> None:
         compose(Conf, ["+world=inspection", *seeds])
 
 
+@pytest.mark.slow
 def test_a_resumed_training_goes_on_with_its_levels(tmp_path: Path) -> None:
     conf = compose_environment("flat", ["actors=none", "task.terminations.time_limit.max_steps=20"])
     levels = curriculum_conf(start_level=0.5, episodes=2, raise_above=-1.0, lower_below=-2.0, step=0.01)
@@ -170,6 +171,7 @@ def test_a_resumed_training_goes_on_with_its_levels(tmp_path: Path) -> None:
     assert saved["level"] > 0.5 and saved["state"]["scenes"]["curriculum"]["level"] > 0.5
 
 
+@pytest.mark.slow
 def test_other_processes_begin_at_the_level_of_those_before(tmp_path: Path) -> None:
     conf = compose_environment("flat", SHORT)
     levels = curriculum_conf(start_level=0.5, episodes=1, raise_above=-1.0, lower_below=-2.0, step=0.02)

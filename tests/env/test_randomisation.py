@@ -181,6 +181,7 @@ def test_another_layout_stands_on_the_same_ground(conf: Any) -> None:
 # -- what is drawn is applied ----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_worlds_and_weather_are_those_drawn() -> None:
     simulation = make(3, **ISLANDS)
     simulation.reset()

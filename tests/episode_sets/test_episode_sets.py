@@ -217,6 +217,7 @@ def make_own(*words: str) -> None:
     episode_sets.run(["make", *words])
 
 
+@pytest.mark.slow
 def test_the_command_makes_a_set_of_ones_own(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -47,6 +47,7 @@ def made() -> EpisodeSet:
     return read_episode_set("episode_sets/barn.json")
 
 
+@pytest.mark.slow
 def test_a_set_of_several_files_is_evaluated_from_another_folder(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -65,6 +66,7 @@ def test_a_set_of_several_files_is_evaluated_from_another_folder(
     assert {row["steps"] for row in rows} == {"20"}
 
 
+@pytest.mark.slow
 def test_worlds_of_other_extents_share_the_bounds_of_observations(folder: Path) -> None:
     make("world.path=worlds/*.world", *ENDS)
     conf = settings_on_set(compose_environment("flat", ["sensors.enabled=[goal,position]"]), made())

@@ -4,6 +4,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 HEAD = "from dune_rl.geometry.compiled import compile_function\n"
 CALLEE = """LEAST = {least}
 
@@ -21,6 +23,7 @@ print(caller(0.0), sum(caller.stats.cache_hits.values()))
 """
 
 
+@pytest.mark.slow
 def test_kept_code_is_compiled_anew_when_a_constant_of_what_it_calls_has_changed(tmp_path: Path) -> None:
     (tmp_path / "caller.py").write_text(HEAD + CALLER)
     said = []

@@ -64,5 +64,6 @@ def test_the_correction_of_batch_statistics_does_not_grow() -> None:
     assert first == pytest.approx(3.0, rel=0.2) and later <= first * 1.01
 
 
+@pytest.mark.slow
 def test_halves_make_a_whole(tmp_path: Path) -> None:
     assert_halves_make_a_whole(make_point_mass, tmp_path, SMALL_CROSSQ, frames=384, half=200)

@@ -239,6 +239,7 @@ def test_it_starts_from_what_imitation_saves(tmp_path: Path, prior: str | None) 
         check(found, entry, relatives=found.starts_from)
 
 
+@pytest.mark.slow(all_but=["1.0"])
 @pytest.mark.parametrize("target", [0.1, 1.0])
 def test_a_policy_goes_as_far_from_where_it_began_as_it_may(tmp_path: Path, target: float) -> None:
     torch.manual_seed(0)

@@ -198,6 +198,7 @@ TINY = (
 )
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_forecast_that_evaluations_use(
     call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

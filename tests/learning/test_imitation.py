@@ -205,6 +205,7 @@ def test_a_policy_begins_with_the_costs_that_its_prior_guesses(tmp_path: Path) -
             Imitation(context, wrong)
 
 
+@pytest.mark.slow
 def test_a_run_saves_and_goes_on(tmp_path: Path) -> None:
     conf = ImitationConf(
         hidden=(32,),

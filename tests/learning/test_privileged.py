@@ -29,6 +29,7 @@ SAC = small(hidden=(16,), learning_starts=64, scan_channels=2)
 PPO = SMALL_PPO.model_copy(update={"hidden": (16,), "scan_channels": 2})
 
 
+@pytest.mark.slow(all_but=["learning0"])
 @pytest.mark.parametrize("learning", [SAC, PPO, PPO.model_copy(update={"recurrent": 4})])
 def test_policies_do_without_what_critics_read(learning: LearningConf, tmp_path: Path) -> None:
     assert_halves_make_a_whole(Privileged, tmp_path, learning, frames=384, half=200)
@@ -80,6 +81,7 @@ def test_a_central_critic_sees_the_others_and_itself_first() -> None:
     assert torch.allclose(central(features)[:, 0], central(features.roll(1, 1))[:, 1])
 
 
+@pytest.mark.slow
 def test_a_team_learns_with_a_central_critic(tmp_path: Path) -> None:
     learning = PPO.model_copy(update={"central_critic": True, "recurrent": 4})
     assert_halves_make_a_whole(make_team, tmp_path, learning, frames=384, half=200)

@@ -66,6 +66,7 @@ def test_learning_finds_the_probabilities_of_remembering_policies(tmp_path: Path
     collector.close()
 
 
+@pytest.mark.slow
 def test_halves_make_a_whole(tmp_path: Path) -> None:
     assert_halves_make_a_whole(make_point_mass, tmp_path, RECURRENT, frames=384, half=200)
     env = PointMass(2, 0)

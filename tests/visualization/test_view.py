@@ -126,6 +126,7 @@ def test_films_of_one_seed_are_the_same_and_drivers_differ(call: Call, folder: P
     assert (film_of(call, "view=video", "policy=random") != driven).any()
 
 
+@pytest.mark.slow
 def test_an_episode_of_a_set_is_shown_by_its_number(call: Call, folder: Path) -> None:
     words = ["policy=go_to_goal", "set=construction-v1", "episode=6"]
     assert call(*words, "view=map", "dpi=72") == 0
