@@ -302,4 +302,18 @@ PAGES: Mapping[str, HelpPage] = {
         "More in docs/how_to/bring_a_robot.md.",
         options=False,
     ),
+    "doctor": HelpPage(
+        "Check a machine: what is missing, whether it computes what others do, and how fast.",
+        (
+            ("python -m dune_rl.doctor", "ten seconds"),
+            ("python -m dune_rl.doctor out=here.json", "and a file, which another machine compares with"),
+            ("python -m dune_rl.doctor reference=here.json", "there"),
+        ),
+        (
+            ("out=FILE.json", "versions, digests of short drives and the speed"),
+            ("reference=FILE.json", "such a file; else that of the package"),
+        ),
+        "The exit code is 2 where something is to be mended.",
+        options=False,
+    ),
 }

@@ -28,6 +28,7 @@ from dune_rl.config.group_files import describe_owner
 from dune_rl.config.schema import Conf, EnvConf
 from dune_rl.core import paths
 from dune_rl.core.errors import CheckpointError, ConfigError, DuneError
+from dune_rl.core.machine import available_cores
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE, find_checkpoint_file, read_checkpoint_file
 from dune_rl.learning.run.locks import LOCK_FILE, check_unused, reserve_cores
 from dune_rl.robots.settings import RobotSettings
@@ -134,7 +135,7 @@ def _cores_of_a_sweep(conf: Conf, engine: Any) -> Iterator[None]:
     if engine.mode is not RunMode.MULTIRUN or launcher not in _SIDE_BY_SIDE:
         yield
         return
-    from dune_rl.learning.collector import available_cores, learner_threads
+    from dune_rl.learning.collector import learner_threads
 
     collector = conf.learning.collector
     needed = collector.processes + (conf.learning.threads or learner_threads(collector))

@@ -2,29 +2,19 @@
 
 import os
 import platform
-import shutil
-import subprocess
 import sys
-from contextlib import suppress
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.files import sha256_of
-from dune_rl.core.paths import package_folder
+from dune_rl.core.machine import git_commit, memory_gib, package_versions, processor_name
 from dune_rl.evaluation.episode_sets.apply import sites_of_training
 from dune_rl.evaluation.running import EvaluationPlan
 from dune_rl.learning.checkpoint import read_policy_file
 from dune_rl.sensors.perception.agent_tracks import AgentTracksConf
 from dune_rl.sensors.perception.motion_forecast import find_forecast
-
-_PACKAGES = (
-    *("dune_rl", "numpy", "scipy", "numba", "torch", "torchrl", "tensordict", "gymnasium", "pettingzoo"),
-    *("pybullet", "dartpy", "embreex", "trimesh", "hydra-core", "pydantic", "pyarrow", "onnxruntime"),
-)
-_GIT_S = 10.0
 
 
 def describe_provenance(plan: EvaluationPlan) -> dict[str, Any]:
@@ -94,52 +84,3 @@ def check_same_sources(plan: EvaluationPlan, provenance: dict[str, Any], path: P
             raise ConfigError(
                 f"{path} was made with other weights than those now in {source.location}; evaluate again"
             )
-
-
-def package_versions() -> dict[str, str]:
-    """Versions of the installed packages that results depend on."""
-    found = {}
-    for name in _PACKAGES:
-        with suppress(PackageNotFoundError):
-            found[name] = version(name)
-    return found
-
-
-def git_commit() -> dict[str, Any] | None:
-    """Commit of the checkout that this package is part of, and whether files differ from it; None without."""
-    git, folder = shutil.which("git"), package_folder()
-    if git is None:
-        return None
-
-    def ask(*words: str) -> str | None:
-        try:
-            answer = subprocess.run(
-                [git, "-C", str(folder), *words], capture_output=True, text=True, timeout=_GIT_S, check=False
-            )
-        except (OSError, subprocess.TimeoutExpired):
-            return None
-        return answer.stdout.strip() if answer.returncode == 0 else None
-
-    # An installed package may lie in a checkout of something else.
-    if ask("ls-files", "--error-unmatch", "__init__.py") is None:
-        return None
-    commit, changed = ask("rev-parse", "HEAD"), ask("status", "--porcelain", "--untracked-files=no")
-    return None if commit is None else {"commit": commit, "changed": bool(changed)}
-
-
-def processor_name() -> str:
-    """Name of the processor."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        lines = []
-    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    return next(names, platform.processor() or platform.machine())
-
-
-def memory_gib() -> float | None:
-    """Memory of the machine [GiB]; None where it is not known."""
-    try:
-        return round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1)
-    except (AttributeError, OSError, ValueError):
-        return None

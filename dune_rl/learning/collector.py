@@ -1,6 +1,5 @@
 """Collection of transitions: in this process, or in worker processes."""
 
-import os
 import signal
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,6 +14,7 @@ from torchrl.collectors import Collector, MultiAsyncCollector, MultiSyncCollecto
 from torchrl.envs import EnvBase
 
 from dune_rl.core.errors import DuneWarning
+from dune_rl.core.machine import available_cores
 from dune_rl.core.seeding import stream
 from dune_rl.learning.algorithm import MakeEnv
 from dune_rl.learning.episode_begins import EpisodeBegins
@@ -22,10 +22,6 @@ from dune_rl.learning.group_policy import GroupPolicy, JointPolicy
 from dune_rl.learning.population import OpponentDraws, Population, PopulationPolicy
 from dune_rl.learning.process import WorkerMonitor
 from dune_rl.learning.settings import CollectorConf
-
-
-def available_cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def learner_threads(conf: CollectorConf) -> int:
