@@ -54,7 +54,10 @@ def parse_controller(value: Any) -> Any:
         return TrajectoryFilesConf.model_validate(value)
     name = value.get("name") if isinstance(value, Mapping) else value
     if name in (EXTERNAL, PATH, TRAJECTORY):
-        raise ValueError(f"{name} has no settings here: write controller: {name}")
+        given = next(key for key in value if key != "name")
+        near = closest(str(given), ["checkpoint", TRAJECTORY])
+        remedy = f"did you mean {near}?" if near else f"write controller: {name}"
+        raise ValueError(f"the controller {name} has no settings, and {given} is none; {remedy}")
     if name is None:
         raise ValueError(
             "a controller's mapping has a name, {name: BEHAVIOUR, ...}, a checkpoint, {checkpoint: PATH}, or "

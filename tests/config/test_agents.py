@@ -292,9 +292,11 @@ def test_a_broken_option_of_the_user_is_named(tmp_path: Path) -> None:
 
 def test_faults_of_controllers_names_and_word_lists_say_what_to_write() -> None:
     person = {"body": "person"}
-    assert "path has no settings here: write controller: path" in fault(
-        agents={"walker": {**person, "controller": {"name": "path", "speed_mps": 1.0}}}
-    )
+    for key, told in (
+        ("speed_mps", "the controller path has no settings, and speed_mps is none; write controller: path"),
+        ("chekpoint", "and chekpoint is none; did you mean checkpoint?"),
+    ):
+        assert told in fault(agents={"walker": {**person, "controller": {"name": "path", key: "x"}}})
     assert "{checkpoint: PATH}" in fault(agents={"walker": {**person, "controller": {"speed_mps": 1.0}}})
     assert "agent groups have names, not numbers" in fault(agents={3: person})
     with pytest.raises(ConfigError, match="are lists of strings"):
