@@ -305,13 +305,13 @@ PAGES: Mapping[str, HelpPage] = {
     "doctor": HelpPage(
         "Check a machine: what is missing, whether it computes what others do, and how fast.",
         (
-            ("python -m dune_rl.doctor", "ten seconds"),
-            ("python -m dune_rl.doctor out=here.json", "and a file, which another machine compares with"),
-            ("python -m dune_rl.doctor reference=here.json", "there"),
+            ("python -m dune_rl.doctor", "check this machine"),
+            ("python -m dune_rl.doctor out=here.json", "also write what it computes to a file"),
+            ("python -m dune_rl.doctor reference=here.json", "on another machine: compare with that file"),
         ),
         (
-            ("out=FILE.json", "versions, digests of short drives and the speed"),
-            ("reference=FILE.json", "such a file; else that of the package"),
+            ("out=FILE.json", "a file of versions, digests of short drives and the speed"),
+            ("reference=FILE.json", "such a file of another machine; else that of the package"),
         ),
         "The exit code is 2 where something is to be mended.",
         options=False,

@@ -294,7 +294,7 @@ def test_faults_of_controllers_names_and_word_lists_say_what_to_write() -> None:
     person = {"body": "person"}
     for key, told in (
         ("speed_mps", "the controller path has no settings, and speed_mps is none; write controller: path"),
-        ("chekpoint", "and chekpoint is none; did you mean checkpoint?"),
+        ("check_point", "and check_point is none; did you mean checkpoint?"),
     ):
         assert told in fault(agents={"walker": {**person, "controller": {"name": "path", key: "x"}}})
     assert "{checkpoint: PATH}" in fault(agents={"walker": {**person, "controller": {"speed_mps": 1.0}}})
