@@ -26,7 +26,7 @@ from urdf_files import CART
 from user_packages import packages_on_path, shown_files, write_package
 from world_files import write_yard
 
-from dune_rl.commands import episode_sets, robots
+from dune_rl.commands import doctor, episode_sets, robots
 from dune_rl.commands.command_line import config_folders, parse_arguments
 from dune_rl.commands.engines import parse_settings as engines_settings
 from dune_rl.commands.pages import PAGES as PROGRAMS
@@ -70,6 +70,9 @@ def compose_command(words: list[str]) -> None:
         return
     if program == "dune_rl.robots":
         robots.run(rest)
+        return
+    if program == "dune_rl.doctor":
+        doctor.parse(rest)
         return
     if program == "dune_rl.episode_sets":
         asked = episode_sets.parse(rest)

@@ -12,7 +12,7 @@ def test_readme_opens_with_two_commands_that_set_themselves_up() -> None:
         assert len(block.strip().splitlines()) == 1
         assert "-m venv" in block
         assert "-c constraints.txt" in block
-    assert "dune_rl.train +world=inspection" in run
+    assert "dune_rl.train +experiment=all_worlds" in run
     assert "-m pytest" in test
 
 

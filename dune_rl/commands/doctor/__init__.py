@@ -13,15 +13,21 @@ from dune_rl.core.machine import available_cores, git_commit, memory_gib, packag
 _USAGE = "usage: python -m dune_rl.doctor [out=FILE.json] [reference=FILE.json]"
 
 
+def parse(words: Sequence[str]) -> dict[str, str]:
+    """The words by their keys; raises ConfigError for others than `out` and `reference`."""
+    given = {key: value for key, _, value in (word.partition("=") for word in words)}
+    if not {*given} <= {"out", "reference"} or not all(given.values()):
+        raise ConfigError(_USAGE)
+    return given
+
+
 def run(words: Sequence[str]) -> None:
     """Print a report on this machine; raises `ReportedError` if anything is to be mended.
 
     `out=FILE` also writes what was found, with which `reference=FILE` compares another machine. Without a
     reference that is the file of the package.
     """
-    given = dict(word.partition("=")[::2] for word in words)
-    if not {*given} <= {"out", "reference"} or not all(given.values()):
-        raise ConfigError(_USAGE)
+    given = parse(words)
     out = Path(given["out"]) if "out" in given else None
     if out is not None:
         check_place(out)
