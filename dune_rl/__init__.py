@@ -17,6 +17,7 @@ from dune_rl.core.errors import (
     RobotError,
     WorldError,
 )
+from dune_rl.core.version import VERSION
 from dune_rl.env.registration import RENDER_METADATA, register_env, register_envs
 
 if TYPE_CHECKING:
@@ -58,7 +59,7 @@ __all__ = [
     "register_world",
     "sensor_bounds",
 ]
-__version__ = "0.1.0"
+__version__ = VERSION
 
 # Gymnasium 1 reads no entry points: an id is known once the package that registers it is imported, which
 # `gymnasium.make("dune_rl:dune_rl/Inspection-v0")` does by itself.

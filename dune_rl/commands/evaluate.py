@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dune_rl.commands import command_line
-from dune_rl.config.commands import EvaluateConf
+from dune_rl.config.commands import RAY, EvaluateConf, Processes
 from dune_rl.config.compose import override_value
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.paths import unused_folder
-from dune_rl.learning.checkpoint import read_policy_file
+from dune_rl.learning.checkpoint import interpreting, read_policy_file
 
 if TYPE_CHECKING:
     from dune_rl.evaluation.running import EvaluationPlan
@@ -26,7 +26,9 @@ _OTHER_LIBRARIES = (".onnx", ".zip")
 def run(words: Sequence[str]) -> None:
     """Evaluate, go on with an evaluation, or verify one, as the command line says."""
     parsed = command_line.parse_arguments(words)
-    chosen = [key for key in ("verify", "resume") if override_value(parsed.overrides, key) is not None]
+    chosen = [
+        key for key in ("verify", "resume", "join") if override_value(parsed.overrides, key) is not None
+    ]
     if chosen:
         _run_on_folder(parsed, chosen[0])
     elif parsed.cfg:
@@ -40,20 +42,27 @@ def run(words: Sequence[str]) -> None:
 
 
 def _run_on_folder(parsed: Namespace, action: str) -> None:
-    allowed = {"verify": ("verify", "sample"), "resume": ("resume", "processes")}[action]
+    allowed = (action, {"verify": "sample", "resume": "processes", "join": "out"}[action], "policy")
     others = [word for word in parsed.overrides if word.partition("=")[0] not in allowed]
     if others:
         raise ConfigError(
-            f"{action}=FOLDER has the settings of its folder; leave {others[0]} out (it takes {allowed[1]}=N)"
+            f"{action}=FOLDER has the settings of its folder; leave {others[0]} out "
+            f"(it takes {allowed[1]}={'FOLDER' if action == 'join' else 'N'})"
         )
     folder = Path(str(override_value(parsed.overrides, action)))
+    given = override_value(parsed.overrides, "policy")
+    trusted = [str(each) for each in (given if isinstance(given, list) else [given])]
+    if action == "join":
+        _join(folder, override_value(parsed.overrides, "out"), trusted)
+        return
     number = override_value(parsed.overrides, allowed[1])
-    if number is not None and (not isinstance(number, int) or number < 1):
+    on_ray = action == "resume" and number == RAY
+    if number is not None and not on_ray and (not isinstance(number, int) or number < 1):
         raise ConfigError(f"{allowed[1]} must be a whole number of at least 1 (got {number})")
     if action == "verify":
-        _verify(folder, _DEFAULT_SAMPLE if number is None else number)
+        _verify(folder, _DEFAULT_SAMPLE if number is None else number, trusted)
     else:
-        _resume(folder, number)
+        _resume(folder, number, trusted)
 
 
 def _compose(parsed: Namespace) -> EvaluateConf:
@@ -89,12 +98,14 @@ def _saved_settings(overrides: Sequence[str]) -> Mapping[str, Any] | None:
             raise ConfigError(f"checkpoint={each} is a file of another library; write policy={each}")
     if not checkpoints:
         return None
-    saved: Mapping[str, Any] = read_policy_file(Path(str(checkpoints[0])))[1]["config"]
-    evaluation = (saved.get("learning") or {}).get("evaluation") or {}
-    if seeds := evaluation.get("world_seeds"):
-        # The worlds that the run kept for evaluations, unless others are asked for.
-        drawn = {"name": "integers", "low": seeds[0], "high": seeds[1]}
-        saved = {**saved, "randomisation": {**(saved.get("randomisation") or {}), "world_seed": drawn}}
+    file, content = read_policy_file(Path(str(checkpoints[0])))
+    saved: Mapping[str, Any] = content["config"]
+    with interpreting(file):
+        evaluation = (saved.get("learning") or {}).get("evaluation") or {}
+        if seeds := evaluation.get("world_seeds"):
+            # The worlds that the run kept for evaluations, unless others are asked for.
+            drawn = {"name": "integers", "low": seeds[0], "high": seeds[1]}
+            saved = {**saved, "randomisation": {**(saved.get("randomisation") or {}), "world_seed": drawn}}
     return saved
 
 
@@ -138,7 +149,9 @@ def _note_other_rates(plan: "EvaluationPlan") -> None:
     for source in plan.sources:
         if source.kind != "checkpoint" or source.file is None:
             continue
-        then = (read_policy_file(source.file)[1]["config"].get("physics") or {}).get("action_repeat", 1)
+        file, content = read_policy_file(source.file)
+        with interpreting(file):
+            then = (content["config"].get("physics") or {}).get("action_repeat", 1)
         if then != now:
             command_line.print_error(
                 f"note: {source.name} was trained with physics.action_repeat={then}, and decides here with "
@@ -155,14 +168,14 @@ def _cross_play(conf: EvaluateConf, config_dirs: Sequence[str]) -> None:
     out = Path(conf.out) if conf.out else default_folder(EvaluationPlan.of_settings(conf))
     check_writable(out)
     begin_cross_play(conf, populations, out, overwrite=conf.overwrite)
-    run_cross_play(out, command_line.make_console())
+    run_cross_play(out, command_line.make_console(), trusted=(*conf.policy, *conf.against))
 
 
-def _resume(path: Path, processes: int | None) -> None:
+def _resume(path: Path, processes: Processes | None, trusted: Sequence[str]) -> None:
     from dune_rl.evaluation.cross_play import is_cross_play, run_cross_play
 
     if is_cross_play(path):
-        run_cross_play(path, command_line.make_console(), processes)
+        run_cross_play(path, command_line.make_console(), processes, trusted)
         return
     from dune_rl.evaluation.folder import ResultsFolder, read_provenance, read_settings
     from dune_rl.evaluation.provenance import check_same_sources
@@ -173,13 +186,21 @@ def _resume(path: Path, processes: int | None) -> None:
     if provenance.get("complete"):
         raise ConfigError(f"{path} is complete; there is nothing to resume")
     plan = EvaluationPlan.of_settings(conf)
-    check_same_sources(plan, provenance, path)
+    check_same_sources(plan, provenance, path, trusted)
     prepared = prepare_run(plan)
     with ResultsFolder.reopen(path) as folder:
         run_plan(plan, folder, prepared, command_line.make_console(), processes or conf.processes)
 
 
-def _verify(path: Path, sample: int) -> None:
+def _join(path: Path, out: object, trusted: Sequence[str]) -> None:
+    from dune_rl.evaluation.parts import join_parts
+
+    joined = Path(str(out)) if out else path.with_name(f"{path.resolve().name}_joined")
+    check_writable(joined)
+    join_parts(path, joined, command_line.make_console(), trusted)
+
+
+def _verify(path: Path, sample: int, trusted: Sequence[str]) -> None:
     from dune_rl.evaluation.folder import read_provenance, read_settings
     from dune_rl.evaluation.provenance import check_same_sources
     from dune_rl.evaluation.running import EvaluationPlan
@@ -187,7 +208,7 @@ def _verify(path: Path, sample: int) -> None:
 
     provenance = read_provenance(path)
     plan = EvaluationPlan.of_settings(read_settings(path))
-    check_same_sources(plan, provenance, path)
+    check_same_sources(plan, provenance, path, trusted)
     verify_folder(path, plan, sample, command_line.make_console())
 
 

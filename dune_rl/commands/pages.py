@@ -79,6 +79,10 @@ PAGES: Mapping[str, HelpPage] = {
             ("python -m dune_rl.train +world=inspection", "train; settings follow"),
             ("python -m dune_rl.train +experiment=quick", "a taste: some minutes"),
             ("python -m dune_rl.train resume=runs/NAME", "go on with a run"),
+            (
+                "python -m dune_rl.train +world=flat run_dir=runs/NAME resume=auto",
+                "begin it, or go on with it",
+            ),
             ("python -m dune_rl.train -m +world=flat seed=1,2", "a sweep: a folder a job"),
         ),
         (
@@ -106,6 +110,7 @@ PAGES: Mapping[str, HelpPage] = {
             ("python -m dune_rl.evaluate policy=random +world=flat", "a built-in policy"),
             ("python -m dune_rl.evaluate checkpoint=[A,B] against=go_to_goal", "several, in pairs"),
             ("python -m dune_rl.evaluate resume=FOLDER", "go on where one was cut off"),
+            ("python -m dune_rl.evaluate join=FOLDER", "join the parts (part=1/16) in a folder"),
             ("python -m dune_rl.evaluate verify=FOLDER", "repeat a sample of its rows"),
         ),
         (
@@ -119,7 +124,10 @@ PAGES: Mapping[str, HelpPage] = {
             ("cross_play=true", "each policy among each of populations=[NAME,RUN] of actors"),
             ("seed=N", "of the episodes"),
             ("scenes=N", "episodes side by side in each process"),
-            ("processes=N", "processes that share them; no result depends on it"),
+            (
+                "processes=N",
+                "processes that share them; no result depends on it; ray: those of a Ray cluster",
+            ),
             ("steps=true", "a row for each step too; steps=N for each N-th"),
             ("actor_steps=true", "with steps: rows of walkers too"),
             ("out=FOLDER", "of the results; overwrite=true replaces what is there"),
@@ -264,7 +272,8 @@ PAGES: Mapping[str, HelpPage] = {
             ("steps=N", "control steps of every scene in a turn"),
             (
                 "parts=[environment]",
-                "environment, cameras, sensors, terrain, new_world, world_memory, groups, processes, engines",
+                "environment, cameras, sensors, terrain, new_world, world_memory, groups, actors, processes, "
+                "engines, learning, sizes",
             ),
             ("worlds=N", "new worlds that the part world_memory enters"),
             ("processes=[1,2]", "numbers of processes at once, one after the other"),

@@ -3,40 +3,44 @@
 import multiprocessing
 import os
 import shutil
+import signal
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import hydra
-import numpy as np
-import yaml
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
 from hydra.types import RunMode
-from numpy.typing import NDArray
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from rich.console import Console
 
 from dune_rl.commands import command_line
-from dune_rl.config.commands import ViewConf
+from dune_rl.commands.end_of_training import FILM_FILE, film_run, show_end
+from dune_rl.commands.resuming import (
+    AUTO,
+    SavedRun,
+    check_own_folder,
+    find_named_run,
+    find_own_run,
+)
 from dune_rl.config.compose import check_sweep, compose, override_value
 from dune_rl.config.group_files import describe_owner
-from dune_rl.config.schema import Conf, EnvConf
+from dune_rl.config.schema import Conf
 from dune_rl.core import paths
 from dune_rl.core.errors import CheckpointError, ConfigError, DuneError
 from dune_rl.core.machine import available_cores
-from dune_rl.learning.checkpoint import CHECKPOINT_FILE, find_checkpoint_file, read_checkpoint_file
+from dune_rl.core.ray_cluster import check_installed
+from dune_rl.learning.checkpoint import CHECKPOINT_FILE, CONFIG_FILE
 from dune_rl.learning.run.locks import LOCK_FILE, check_unused, reserve_cores
-from dune_rl.robots.settings import RobotSettings
 
 if TYPE_CHECKING:
     from dune_rl.learning.trainer import TrainingResult
 
-FILM_FILE = "film.mp4"
+_HYDRA_FOLDER = ".hydra"
 _SIDE_BY_SIDE = ("joblib", "submitit_local")
 
 
@@ -45,10 +49,12 @@ def run(words: Sequence[str]) -> None:
     parsed = command_line.parse_arguments(words, sweeps=True)
     folders = command_line.config_folders(parsed)
     source = override_value(parsed.overrides, "resume")
-    if source is not None:
+    if source == AUTO:
+        check_own_folder(parsed.overrides, is_sweep=parsed.multirun)
+    elif source is not None:
         if parsed.multirun:
-            raise ConfigError("resume goes on with one run; leave -m out")
-        _resume(str(source), parsed.overrides, folders)
+            raise ConfigError(f"resume=FOLDER goes on with one run; write resume={AUTO}, or leave -m out")
+        _go_on(find_named_run(str(source), parsed.overrides, folders))
         return
     if not parsed.multirun:
         conf = compose(Conf, parsed.overrides, folders)
@@ -61,10 +67,30 @@ def run(words: Sequence[str]) -> None:
         from dune_rl.config.group_files import check_group_files
 
         check_group_files(conf)
+        run = find_own_run(conf, folders) if source == AUTO else None
+        if run is not None:
+            _go_on(run)
+            return
         check_unused(Path(conf.run_dir))
     ready = check_sweep(parsed.overrides, folders)
+    if source == AUTO:
+        # The files of a run that goes on, or of another that is in its folder, stay as they are.
+        ready.append("hydra.output_subdir=null")
     flags = [word for word in sys.argv[1:] if word not in parsed.overrides]
-    _run_hydra([*flags, *ready])
+    with _without_empty_folders([] if parsed.multirun else Path(conf.run_dir).parents):
+        _run_hydra([*flags, *ready])
+
+
+@contextmanager
+def _without_empty_folders(folders: Iterable[Path]) -> Iterator[None]:
+    """Remove those of `folders`, the innermost first, that were made in the block and are empty after it."""
+    missing = [folder for folder in folders if not folder.exists()]
+    try:
+        yield
+    finally:
+        for folder in missing:
+            with suppress(OSError):
+                folder.rmdir()
 
 
 def _run_hydra(words: Sequence[str]) -> None:
@@ -100,8 +126,18 @@ def _job(config: DictConfig) -> float | None:
         folders = [source.path for source in sources if source.provider == "command-line"]
         conf = compose(Conf, engine.overrides.task, folders)
         conf = conf.model_copy(update={"run_dir": engine.runtime.output_dir})
+        run = find_own_run(conf, folders) if conf.resume == AUTO else None
+        if run is not None and run.is_finished:
+            _go_on(run)
+            return run.objective
+        if conf.resume == AUTO and run is None:
+            check_unused(Path(conf.run_dir))
+            _save_words(config, Path(conf.run_dir) / _HYDRA_FOLDER)
         with _cores_of_a_sweep(conf, engine):
-            result = train(conf, words=engine.overrides.task)
+            if run is None:
+                result = train(conf, words=engine.overrides.task)
+            else:
+                result = train(run.conf, resume=run.checkpoint)
         from dune_rl.statistics.measures import mean_of_known
 
         rows = result.evaluation[conf.driven_group.name]
@@ -121,8 +157,17 @@ def _job(config: DictConfig) -> float | None:
 
 def _remove_if_unused(run_dir: Path) -> None:
     """Remove the folder of a run that was refused, in which there are Hydra's settings and our lock alone."""
-    if {entry.name for entry in run_dir.iterdir()} <= {".hydra", LOCK_FILE}:
+    if {entry.name for entry in run_dir.iterdir()} <= {_HYDRA_FOLDER, LOCK_FILE}:
         shutil.rmtree(run_dir)
+
+
+def _save_words(config: DictConfig, folder: Path) -> None:
+    """Write the files that Hydra writes of a job, with `config` without its own settings."""
+    folder.mkdir(parents=True, exist_ok=True)
+    own = HydraConfig.get()
+    engine = OmegaConf.create({"hydra": own})
+    for name, content in (("config", config), ("hydra", engine), ("overrides", own.overrides.task)):
+        OmegaConf.save(content, folder / f"{name}.yaml")
 
 
 @contextmanager
@@ -138,39 +183,18 @@ def _cores_of_a_sweep(conf: Conf, engine: Any) -> Iterator[None]:
     from dune_rl.learning.collector import learner_threads
 
     collector = conf.learning.collector
-    needed = collector.processes + (conf.learning.threads or learner_threads(collector))
+    needed = collector.processes_here + (conf.learning.threads or learner_threads(collector))
     told = f"job {engine.job.num} waits for {needed} free cores"
     folder = Path(engine.sweep.dir).absolute() / ".cores"
     with reserve_cores(folder, needed, available_cores(), lambda: print(told, flush=True)):
         yield
 
 
-def _resume(source: str, overrides: Sequence[str], folders: Sequence[str]) -> None:
-    checkpoint = find_checkpoint_file(Path(source), CHECKPOINT_FILE)
-    content = read_checkpoint_file(checkpoint, "checkpoint")
-    saved, counters = dict(content["config"]), content["counters"]
-    if override_value(overrides, "run_dir") is None:
-        saved["run_dir"] = str(checkpoint.parent)
-    conf, before = compose(Conf, overrides, folders, saved), compose(Conf, (), folders, saved)
-    frames = counters["frames"]
-    if frames >= conf.total_frames and counters["evaluated_at"] == frames:
-        raise ConfigError(
-            f"{source} is a finished run of {frames:,} frames, and total_frames is {conf.total_frames:,}: to "
-            f"train on, set more of them, such as total_frames={2 * frames}"
-        )
-    if conf.physics.action_repeat != before.physics.action_repeat:
-        raise ConfigError(
-            f"physics.action_repeat={conf.physics.action_repeat}: the run learned with "
-            f"{before.physics.action_repeat}; leave it out, or leave out resume and begin a new run"
-        )
-    for group in conf.external_groups:
-        setting, start = conf.learning.start_of(group.name)
-        if start != before.learning.start_of(group.name)[1]:
-            raise ConfigError(
-                f"{setting}={start}: a resumed run goes on with its own weights; leave it out, or leave out "
-                "resume and begin a new run"
-            )
-    train(conf, resume=checkpoint)
+def _go_on(run: SavedRun) -> None:
+    if run.is_finished:
+        print(f"{run.conf.run_dir} is a finished run of {run.frames:,} frames: there is nothing to do")
+    else:
+        train(run.conf, resume=run.checkpoint)
 
 
 def train(conf: Conf, resume: Path | None = None, words: Sequence[str] = ()) -> "TrainingResult":
@@ -178,6 +202,7 @@ def train(conf: Conf, resume: Path | None = None, words: Sequence[str] = ()) -> 
 
     `words` are those of the command line, KEY=VALUE: TensorBoard compares runs by what they set.
     """
+    _check_machine(conf)
     # Imported here: these load PyTorch and the physics engine, which `--help` and collector processes, which
     # import this module too, do not need.
     from dune_rl.config.build import make_learning_env
@@ -187,7 +212,6 @@ def train(conf: Conf, resume: Path | None = None, words: Sequence[str] = ()) -> 
     from dune_rl.learning.trainer import Trainer
     from dune_rl.reporting.views.evaluation_pictures import EvaluationTracks
 
-    _check_machine(conf)
     console = command_line.make_console()
     reporter = BarReporter(console) if console.is_terminal else LineReporter(partial(print, flush=True))
     run_dir = Path(conf.run_dir)
@@ -217,7 +241,6 @@ def train(conf: Conf, resume: Path | None = None, words: Sequence[str] = ()) -> 
         owner = describe_owner(error.location, error.group, conf.path_of(error.group))
         what_differs = str(error).splitlines()[0]
         raise CheckpointError(f"{what_differs}\n{owner}" if owner else str(error)) from None
-    (run_dir / "config.yaml").write_text(yaml.safe_dump(trainer.config, sort_keys=False))
     console.print(f"Run folder: {run_dir}", highlight=False, soft_wrap=True)
     command_line.print_world_notes(console, conf)
     if trainer.warms_up_throughout:
@@ -230,7 +253,7 @@ def train(conf: Conf, resume: Path | None = None, words: Sequence[str] = ()) -> 
     except DuneError:
         if not (run_dir / CHECKPOINT_FILE).exists():
             # Nothing has been learned: the corrected command may use the folder.
-            for file in (run_dir / "config.yaml", *run_dir.glob("events.out.tfevents.*")):
+            for file in (run_dir / CONFIG_FILE, *run_dir.glob("events.out.tfevents.*")):
                 file.unlink(missing_ok=True)
         raise
     except KeyboardInterrupt:
@@ -242,39 +265,23 @@ def train(conf: Conf, resume: Path | None = None, words: Sequence[str] = ()) -> 
         command_line.print_error(
             f"Stopped at {result.frames:,} frames and saved; go on with resume={run_dir}"
         )
+        _hand_on(result.signal)
         sys.exit(128 + result.signal)
     if conf.film:
         try:
-            _film(console, conf, result)
+            film_run(console, conf, result)
         except (DuneError, OSError) as error:
             # All else of the run is there, a sweep's objective too.
             command_line.print_error(f"note: {FILM_FILE} is left out: {error}")
-    _show_end(console, conf, result)
+    show_end(console, conf, result)
     return result
 
 
-def _film(console: Console, conf: Conf, result: "TrainingResult") -> None:
-    """Write the film of the best policy in the first episode of the run's evaluations."""
-    from dune_rl.learning.run.tensorboard import log_film
-    from dune_rl.reporting.views.episode import EpisodeView, write_video
-
-    environment = {name: getattr(conf, name) for name in EnvConf.model_fields}
-    view = ViewConf(
-        **environment,
-        checkpoint=str(result.run_dir),
-        seed=conf.seed + conf.learning.evaluation.seed_offset,
-        width=640,
-        height=360,
-        samples=1,
-    )
-    console.print("Filming an episode of the trained policy", highlight=False)
-    episode = EpisodeView(view)
-    pictures: list[NDArray[np.uint8]] = []
-    try:
-        write_video(episode, result.run_dir / FILM_FILE, console, pictures.append)
-    finally:
-        episode.close()
-    log_film(result.run_dir, pictures, view.frames_per_s, result.frames)
+def _hand_on(number: int) -> None:
+    """Call the earlier handler of a batch system's signal, now that all is saved: submitit's requeues."""
+    handler = signal.getsignal(number)
+    if number not in (signal.SIGINT, signal.SIGTERM) and callable(handler):
+        handler(number, None)
 
 
 def _check_device(conf: Conf) -> None:
@@ -288,7 +295,9 @@ def _check_device(conf: Conf) -> None:
 
 def _check_machine(conf: Conf) -> None:
     _check_device(conf)
-    processes, cores = conf.learning.collector.processes, len(os.sched_getaffinity(0))
+    if conf.learning.collector.mode == "ray":
+        check_installed("learning.collector.mode=ray")
+    processes, cores = conf.learning.collector.processes_here, len(os.sched_getaffinity(0))
     # A single thread of the learner is busy for a part of the time: workers may take all cores.
     threads = conf.learning.threads or 1
     if processes > cores or (threads > 1 and processes + threads > cores):
@@ -296,41 +305,3 @@ def _check_machine(conf: Conf) -> None:
             f"note: {processes} worker processes and {conf.learning.threads or 1} learner threads share "
             f"{cores} cores; fewer may be faster (learning.collector.workers, learning.threads)"
         )
-
-
-def _show_end(console: Console, conf: Conf, result: "TrainingResult") -> None:
-    from dune_rl.evaluation.tables import metric_notes, results_table
-    from dune_rl.learning.policies import go_to_goal_fault
-    from dune_rl.statistics.measures import estimate_metrics
-
-    for group, rows in result.evaluation.items():
-        name = f"{conf.world.name}, {group}" if len(result.evaluation) > 1 else conf.world.name
-        episodes = conf.learning.evaluation.episodes
-        title = f"{name}: {episodes} unseen episodes after {result.frames:,} frames"
-        estimates = estimate_metrics(rows)
-        notes = metric_notes(conf.metrics, estimates)
-        table = results_table({"trained": estimates}, title, num_agents=len(rows) // episodes, notes=notes)
-        console.print(table)
-    lines = [f"Files in {result.run_dir}:"]
-    lines += [
-        f"  {path.name}"
-        for path in sorted(result.run_dir.iterdir())
-        if path.suffix in (".png", ".mp4", ".csv", ".pt")
-    ]
-    can_go = all(go_to_goal_fault(spec) is None for spec in result.specs.values())
-    reference = "go_to_goal" if can_go else "random"
-    further = 2 * max(conf.total_frames, result.frames)
-    lines += [
-        "Try next:",
-        f"  python -m dune_rl.view checkpoint={result.run_dir}",
-        f"  python -m dune_rl.evaluate checkpoint={result.run_dir} episodes=100 seed=1",
-        f"  python -m dune_rl.evaluate checkpoint={result.run_dir} against={reference} episodes=100 seed=1",
-        f"  tensorboard --logdir {result.run_dir.parent}",
-        f"  python -m dune_rl.train resume={result.run_dir} total_frames={further}",
-    ]
-    if any(not isinstance(group.body, RobotSettings) for group in conf.external_groups):
-        lines.append(
-            f"  python -m dune_rl.evaluate cross_play=true checkpoint={result.run_dir} "
-            f"'populations=[walkers,{result.run_dir}]' episodes=100 seed=1"
-        )
-    console.print("\n".join(lines), highlight=False, markup=False, soft_wrap=True)

@@ -133,6 +133,12 @@ class AgentGroupConf(Settings):
             )
         if self.presence is not None and follows_trajectories(self.controller):
             raise ValueError("presence: trajectories have times of their own; leave presence out")
+        is_moved = self.controller == PATH or follows_trajectories(self.controller)
+        if is_moved and self.task not in (None, NONE):
+            raise ValueError(
+                "task: agents that are moved along a path or a trajectory earn nothing and end no episode: "
+                "leave task out (null), or write controller: external"
+            )
         return self
 
     @model_validator(mode="after")

@@ -15,6 +15,7 @@ from dune_rl.config.shorthands import SHORTHANDS
 from dune_rl.core.errors import ConfigError, DuneError
 from dune_rl.core.registry import Registry
 from dune_rl.core.suggestions import closest, one_of
+from dune_rl.core.untrusted_files import printable
 from dune_rl.env.curriculum import CURRICULA
 from dune_rl.learning.networks.registry import ENCODERS
 from dune_rl.learning.registry import ALGORITHMS
@@ -41,6 +42,8 @@ _RANGES = {
     "less_than": ("lt", "below"),
     "multiple_of": ("multiple_of", "a multiple of"),
 }
+# Letters of a value in a message.
+_LONGEST_VALUE = 300
 # By the beginning of pydantic's name of an error.
 _KINDS = {
     "string_too_short": "text that is not empty",
@@ -204,7 +207,7 @@ def _value_at(path: Iterable[str | int], data: Any) -> Any:
 def _quoted(value: Any) -> str:
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
-    return repr(value)
+    return printable(repr(value), _LONGEST_VALUE)
 
 
 def _dotted(path: Iterable[str | int]) -> str:

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal, Self, get_args
 
-from pydantic import BeforeValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
 from dune_rl.config.schema import EnvConf
 from dune_rl.core.suggestions import closest
@@ -16,7 +16,7 @@ def _one_or_several(names: object) -> object:
 
 BenchmarkPart = Literal[
     "environment", "cameras", "sensors", "terrain", "new_world", "groups", "actors", "processes", "engines",
-    "world_memory", "learning",
+    "world_memory", "learning", "sizes",
 ]  # fmt: skip
 
 
@@ -24,7 +24,9 @@ class BenchmarkConf(EnvConf):
     """A measurement of what a step costs."""
 
     parts: tuple[BenchmarkPart, ...] = tuple(
-        part for part in get_args(BenchmarkPart) if part not in ("world_memory", "engines", "learning")
+        part
+        for part in get_args(BenchmarkPart)
+        if part not in ("world_memory", "engines", "learning", "sizes")
     )
     scenes: int = Field(16, ge=1, le=8_192)
     rounds: int = Field(9, ge=1)
@@ -102,6 +104,28 @@ def _steps_kept(value: object) -> object:
     )
 
 
+RAY = "ray"
+MOST_PROCESSES = 1_024
+
+
+def _processes(value: object) -> object:
+    if value == RAY or (isinstance(value, int) and 1 <= value <= MOST_PROCESSES):
+        return value
+    raise ValueError(
+        f"a whole number from 1 to {MOST_PROCESSES}, or {RAY} for all CPUs of a Ray cluster (got {value})"
+    )
+
+
+def _part(value: str) -> str:
+    number, _, parts = value.partition("/")
+    if number.isdecimal() and parts.isdecimal() and 1 <= int(number) <= int(parts):
+        return value
+    raise ValueError(f"K/N is the K-th of N parts of the episodes, as 1/16 (got {value})")
+
+
+Processes = Annotated[int | Literal["ray"], BeforeValidator(_processes)]
+
+
 Names = Annotated[tuple[Annotated[str, Field(min_length=1)], ...], BeforeValidator(_one_or_several)]
 
 
@@ -125,11 +149,12 @@ class EvaluateConf(EnvConf):
     run_steps: int | None = Field(None, ge=1, le=MOST_RUN_STEPS)
     scenes: int = Field(16, ge=1, le=8_192)
     seed: int = Field(0, ge=0)
-    processes: int = Field(1, ge=1, le=1_024)
+    processes: Processes = 1
     steps: Annotated[bool | int, BeforeValidator(_steps_kept)] = False
     actor_steps: bool = False
     cross_play: bool = False
     populations: Names = ()
+    part: Annotated[str, AfterValidator(_part)] | None = None
     out: str | None = Field(None, min_length=1)
     overwrite: bool = False
 
@@ -187,6 +212,10 @@ class EvaluateConf(EnvConf):
             (
                 self.populations and not self.cross_play,
                 "populations are of a cross-play; give cross_play=true as well",
+            ),
+            (
+                self.cross_play and self.part is not None,
+                "cross_play has no parts; leave part out",
             ),
             (
                 self.cross_play and self.protocol is not None,

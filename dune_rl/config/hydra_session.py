@@ -1,5 +1,6 @@
 """One Hydra session: where it looks for options, and the plain settings that it composes."""
 
+import errno
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -24,7 +25,9 @@ from omegaconf.errors import OmegaConfBaseException
 from dune_rl.config.overrides import ParsedOverrides, offer_user_parts, stored_options, sweep_values
 from dune_rl.core import paths
 from dune_rl.core.errors import ConfigError
+from dune_rl.core.untrusted_files import YamlLimitError, parse_yaml, printable
 
+_MOST_BRACKETS = 200
 # The groups of options that choose options of other groups, and change any settings.
 WHOLE_SETTINGS = ("experiment", "scenario")
 
@@ -35,6 +38,7 @@ def hydra_session(config_dirs: Sequence[str] = ()) -> Iterator[ConfigLoader]:
     for folder in config_dirs:
         if not Path(folder).is_dir():
             raise ConfigError(f"there is no folder {folder} to read configurations from (--config-dir)")
+        _check_files(Path(folder))
     # A process has one Hydra, which a caller may be using.
     before = Singleton.get_state() if GlobalHydra.instance().is_initialized() else None
     GlobalHydra.instance().clear()
@@ -53,10 +57,50 @@ def hydra_session(config_dirs: Sequence[str] = ()) -> Iterator[ConfigLoader]:
         raise ConfigError(f"a file of settings is no valid YAML: {' '.join(str(error).split())}") from None
     except (HydraException, OmegaConfBaseException) as error:
         raise ConfigError(f"cannot compose the settings: {str(error).splitlines()[0]}") from None
+    except RecursionError:
+        raise ConfigError("cannot compose the settings: they are nested too deeply") from None
+    except OSError as error:
+        # Of an option of so long a name.
+        if error.errno != errno.ENAMETOOLONG:
+            raise
+        name = printable(Path(str(error.filename)).stem)
+        raise ConfigError(f"cannot compose the settings: there is no option {name}") from None
     finally:
         GlobalHydra.instance().clear()
         if before is not None:
             Singleton.set_state(before)
+
+
+def _check_files(folder: Path) -> None:
+    """Raise ConfigError for a file of options that Hydra could not read in any time."""
+    for path in _option_files(folder):
+        # What else is wrong with a file is told where an option of it is chosen.
+        with suppress(OSError):
+            state = path.stat()
+            if fault := _fault_of_file(path, state.st_mtime_ns, state.st_size):
+                raise ConfigError(f"{path} cannot be read: {fault}")
+
+
+def _option_files(folder: Path) -> Iterator[Path]:
+    """The YAML files in a folder and those below it, hidden ones left out."""
+    for path, folders, files in os.walk(folder):
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        yield from (Path(path, file) for file in files if file.endswith((".yaml", ".yml")))
+
+
+@lru_cache(maxsize=1024)
+def _fault_of_file(path: Path, _changed_ns: int, _size: int) -> str | None:
+    data = path.read_bytes()
+    # A folder may hold the settings of thousands of runs: parsed is what may grow or nest without end.
+    if not (b"&" in data and b"*" in data) and data.count(b"{") + data.count(b"[") <= _MOST_BRACKETS:
+        return None
+    try:
+        parse_yaml(data)
+    except YamlLimitError as error:
+        return str(error)
+    except ValueError:
+        pass
+    return None
 
 
 def _find_in_folders(folders: Sequence[str], name: str) -> str:
@@ -116,14 +160,11 @@ def _file_states(loader: ConfigLoader) -> Iterator[object]:
     for source in loader.get_search_path().get_path():
         yield source.path
         folder = Path(str(source.path).removeprefix("file://"))
-        for path, folders, files in os.walk(folder):
-            folders[:] = [name for name in folders if not name.startswith(".")]
-            for file in files:
-                # A file that is gone by now is as good as none.
-                with suppress(OSError):
-                    if file.endswith((".yaml", ".yml")):
-                        status = os.stat(os.path.join(path, file))
-                        yield path, file, status.st_mtime_ns, status.st_size
+        for file in _option_files(folder):
+            # A file that is gone by now is as good as none.
+            with suppress(OSError):
+                status = file.stat()
+                yield file, status.st_mtime_ns, status.st_size
 
 
 def present_groups(name: str, request: ParsedOverrides) -> frozenset[str]:

@@ -16,6 +16,7 @@ from hydra.errors import HydraException
 from dune_rl.core.errors import DuneError
 from dune_rl.core.registry import Registry
 from dune_rl.core.suggestions import closest, one_of
+from dune_rl.core.untrusted_files import printable
 from dune_rl.learning.registry import ALGORITHMS
 from dune_rl.physics.interface import ENGINES
 from dune_rl.robots.registry import ROBOTS
@@ -29,6 +30,8 @@ REGISTRIES: Mapping[str, Registry[Any]] = {
     "learning": ALGORITHMS,
 }
 _PROVIDER = "dune_rl"
+# Letters of a word that a message repeats.
+_MOST_REPEATED = 200
 
 
 def offer_user_parts(folders: Sequence[str] = ()) -> None:
@@ -156,7 +159,8 @@ def parse_overrides(overrides: Sequence[str], loader: ConfigLoader) -> ParsedOve
     for text in overrides:
         try:
             override = parser.parse_override(text)
-        except HydraException:
+        # Python refuses numbers of thousands of digits.
+        except (HydraException, ValueError):
             faults.append(_describe_unreadable(text))
             continue
         key = override.key_or_group
@@ -238,11 +242,13 @@ def _option_faults(override: Override, loader: ConfigLoader) -> list[str]:
 
 def _describe_unreadable(text: str) -> str:
     if "=" not in text:
-        where = f"; a file or folder goes behind a key, such as resume={text}" if Path(text).exists() else ""
-        return f"cannot read {text!r}; write key=value{where}"
+        is_path = len(text) <= _MOST_REPEATED and Path(text).exists()
+        where = f"; a file or folder goes behind a key, such as resume={text}" if is_path else ""
+        return f"cannot read {printable(text, _MOST_REPEATED)!r}; write key=value{where}"
+    key = printable(text.partition("=")[0], _MOST_REPEATED)
     return (
-        f"cannot read {text!r}; write key=value, and quote a value that holds spaces, commas, "
-        f"brackets or equals signs: '{text.partition('=')[0]}=\"...\"'"
+        f"cannot read {printable(text, _MOST_REPEATED)!r}; write key=value, and quote a value that holds "
+        f"spaces, commas, brackets or equals signs: '{key}=\"...\"'"
     )
 
 

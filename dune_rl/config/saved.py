@@ -6,7 +6,9 @@ from typing import Any
 
 from dune_rl.config.agents import SECTIONS
 from dune_rl.config.shorthands import is_robot_group, join_groups, write_agents
+from dune_rl.core.errors import ConfigError
 from dune_rl.core.settings import copy_nested
+from dune_rl.core.untrusted_files import first_line
 from dune_rl.sensors.conf import complete_entries
 from dune_rl.tasks.task import TaskConf
 
@@ -18,9 +20,21 @@ def upgrade_saved(saved: Mapping[str, Any]) -> dict[str, Any]:
     """The settings of a saved run or evaluation, in the form of this version.
 
     The published runs of `experiments/` are in all older forms there are. Those of `experiments/flat` had the
-    default rewards, terminations and metrics, which they state under older names.
+    default rewards, terminations and metrics, which they state under older names. Raises ConfigError for what
+    are no such settings.
     """
-    data = copy_nested(saved)
+    try:
+        return _upgrade(copy_nested(saved))
+    except ConfigError:
+        raise
+    except (LookupError, TypeError, ValueError, AttributeError, RecursionError) as error:
+        raise ConfigError(
+            f"the settings in the file are damaged ({type(error).__name__}: {first_line(error)}); "
+            "give another file of the run's folder"
+        ) from error
+
+
+def _upgrade(data: dict[str, Any]) -> dict[str, Any]:
     task, metrics, learning = data.get("task"), data.get("metrics"), data.get("learning")
     if isinstance(task, dict) and "reward" in task:
         data["task"] = TaskConf.model_validate({"spawn": task.get("spawn", {})}).model_dump(mode="json")

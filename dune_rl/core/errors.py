@@ -29,6 +29,10 @@ class TrainingError(DuneError):
     """A training run that cannot go on."""
 
 
+class DivergenceError(TrainingError):
+    """A training run whose weights, losses or gradients are not finite any more."""
+
+
 class PhysicsError(DuneError):
     """A scene that the physics engine refuses, or an engine that is not installed."""
 

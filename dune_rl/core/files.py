@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from dune_rl.core.errors import CheckpointError
+from dune_rl.core.errors import CheckpointError, DuneError
 
 try:
     import fcntl
@@ -18,6 +18,24 @@ except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 _MOMENT_S = 5.0
+
+
+def check_not_later(
+    path: Path, version: object, known: int, written_by: object, error: type[DuneError]
+) -> None:
+    """Raise `error` if the format `version` of a file is later than the `known` one.
+
+    `written_by` is the version of dune_rl that the file says it was written by; None where it says nothing.
+    """
+    if isinstance(version, int) and version > known:
+        from dune_rl.core.untrusted_files import printable
+        from dune_rl.core.version import VERSION
+
+        writer = f"dune_rl {printable(written_by)}" if isinstance(written_by, str) else "a later dune_rl"
+        raise error(
+            f"{path} has format {version}, of {writer}; this is dune_rl {VERSION}, which reads format "
+            f"{known}.\nInstall the version that wrote it, or a later one."
+        )
 
 
 @contextmanager

@@ -1,18 +1,22 @@
 """Reading files from unknown sources: only within their folder, and within limits of size."""
 
 import io
+import itertools
+import math
 import os
 import stat
 import warnings
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 from xml.etree.ElementTree import Element, ParseError
 from xml.etree.ElementTree import TreeBuilder as _TreeBuilder
 
 import defusedxml
 import numpy as np
+import yaml
 from defusedxml.ElementTree import DefusedXMLParser
 from numpy.typing import NDArray
 from PIL import Image
@@ -26,6 +30,7 @@ MAX_FACES = 4_000_000
 _MAX_XML_BYTES = 128 * 2**20
 _MAX_XML_DEPTH = 128
 _MAX_PIXELS = 64_000_000
+_MOST_YAML_VALUES, _DEEPEST_YAML = 1_000_000, 200
 # Largest side of a texture, and of one beyond the limit of all textures together.
 _TEXTURE_PIXELS, _COARSE_PIXELS = 1024, 32
 _MOST_TEXELS = 32_000_000
@@ -204,6 +209,53 @@ def read_xml(data: bytes, name: str) -> Element:
     return root
 
 
+class YamlLimitError(ValueError):
+    """A YAML text that is nested too deeply, or too large."""
+
+
+class _PlainLoader(yaml.SafeLoader):
+    """Plain data alone, as YAML 1.1 has it; aliases may not make it very large."""
+
+    def fetch_flow_collection_start(self, token: Any) -> None:
+        # The time for each bracket grows with the open ones.
+        if self.flow_level > _DEEPEST_YAML:
+            raise YamlLimitError(f"it is nested more than {_DEEPEST_YAML} deep")
+        super().fetch_flow_collection_start(token)
+
+    def get_single_data(self) -> Any:
+        node = self.get_single_node()
+        if node is None:
+            return None
+        # Before it is constructed: merged mappings are copied then.
+        if _count_nodes(node, {}) > _MOST_YAML_VALUES:
+            raise YamlLimitError(f"it has more than {_MOST_YAML_VALUES:,} values")
+        return self.construct_document(node)
+
+
+def _count_nodes(node: yaml.Node, known: dict[int, float]) -> float:
+    """The values in and below `node`, those of an alias at each of its places; infinite for one in itself."""
+    if not isinstance(node, yaml.CollectionNode):
+        return 1
+    if id(node) not in known:
+        known[id(node)] = math.inf
+        inner = node.value if isinstance(node, yaml.SequenceNode) else itertools.chain(*node.value)
+        known[id(node)] = 1 + sum(_count_nodes(each, known) for each in inner)
+    return known[id(node)]
+
+
+def parse_yaml(text: str | bytes) -> Any:
+    """The plain data of a YAML text; `ValueError` if it is none, `YamlLimitError` if it is too much."""
+    try:
+        return yaml.load(text, _PlainLoader)
+    except RecursionError:
+        raise YamlLimitError("it is nested too deeply") from None
+    except yaml.YAMLError as error:
+        raise ValueError(" ".join(str(error).split())) from None
+    # Of its dates and numbers, such as a 30th of February or one of too many digits.
+    except (LookupError, TypeError, AttributeError, OverflowError) as error:
+        raise ValueError(first_line(error)) from None
+
+
 def read_image(data: bytes) -> Bytes:
     """RGB (rows, columns, 3) of an image, downscaled if large; `ValueError` if it is none."""
     return downscale_image(open_image(data))
@@ -250,6 +302,59 @@ def downscale_image(image: Image.Image) -> Bytes:
         return colours
     except Exception as error:
         raise ValueError(f"it is no picture that can be read ({first_line(error)})") from None
+
+
+def load_npy(data: bytes) -> NDArray[Any]:
+    """The numbers of an .npy file's bytes; `ValueError` if it has none, or is too short for what it claims.
+
+    Pickles, which are code, are not read.
+    """
+    file, header = io.BytesIO(data), np.lib.format
+    try:
+        is_first = header.read_magic(file) == (1, 0)
+        read = header.read_array_header_1_0 if is_first else header.read_array_header_2_0
+        shape, is_fortran, dtype = read(file)
+    # The header is a Python literal, and its parser raises many errors.
+    except Exception as error:
+        raise ValueError(f"it is no .npy file ({first_line(error)})") from None
+    if dtype.kind not in "biuf":
+        raise ValueError(f"its values are {dtype}, not numbers")
+    # Checked before memory is taken.
+    if (
+        any(type(side) is not int or side < 0 for side in shape)
+        or math.prod(shape) * dtype.itemsize > len(data) - file.tell()
+    ):
+        raise ValueError(f"it claims numbers of shape {shape}, and is too short for them")
+    flat = np.frombuffer(data, dtype, math.prod(shape), file.tell()).copy()
+    return flat.reshape(shape[::-1]).T if is_fortran else flat.reshape(shape)
+
+
+def load_npz(path: Path) -> dict[str, NDArray[Any]]:
+    """The arrays of an .npz file by name, as `np.savez` writes it.
+
+    Raises OSError if it cannot be opened, and `ValueError` or `zipfile.BadZipFile` if it is damaged.
+    """
+    with path.open("rb") as file:
+        check_archive(file)
+        with zipfile.ZipFile(file) as archive:
+            # Reading compares the checksums.
+            return {name.removesuffix(".npy"): load_npy(archive.read(name)) for name in archive.namelist()}
+
+
+def check_archive(file: IO[bytes]) -> None:
+    """Refuse an archive whose contents are compressed, or larger than itself: it would fill the memory.
+
+    NumPy and PyTorch write archives of plain contents. Raises `ValueError` or `zipfile.BadZipFile`.
+    """
+    with zipfile.ZipFile(file) as archive:
+        members = archive.infolist()
+    size = file.seek(0, os.SEEK_END)
+    file.seek(0)
+    packed = any(
+        one.compress_type != zipfile.ZIP_STORED or one.file_size > one.compress_size for one in members
+    )
+    if packed or sum(one.file_size for one in members) > size:
+        raise ValueError("its contents are compressed, or larger than the file")
 
 
 @contextmanager

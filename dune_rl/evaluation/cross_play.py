@@ -6,7 +6,7 @@ interrupted cross-play can be resumed, and all robots have the same episodes amo
 
 import csv
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from dune_rl.config.checks import validate
-from dune_rl.config.commands import EvaluateConf
+from dune_rl.config.commands import EvaluateConf, Processes
 from dune_rl.config.shorthands import replace_actors
 from dune_rl.core.errors import ConfigError, DuneError
 from dune_rl.core.files import sha256_of, write_atomically, write_csv
@@ -85,8 +85,13 @@ def begin_cross_play(
         temporary.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
 
 
-def run_cross_play(out: Path, console: Console, processes: int | None = None) -> None:
-    """Run what the cross-play in `out` lacks, write its matrix as CSV and picture, and show it."""
+def run_cross_play(
+    out: Path, console: Console, processes: Processes | None = None, trusted: Collection[str] = ()
+) -> None:
+    """Run what the cross-play in `out` lacks, write its matrix as CSV and picture, and show it.
+
+    Of users' functions only the `trusted` ones are run.
+    """
     populations = _read_record(out)["populations"]
     for one in populations:
         path = out / one["name"]
@@ -98,7 +103,7 @@ def run_cross_play(out: Path, console: Console, processes: int | None = None) ->
                 f"{one['weights']} has other weights than when the cross-play began; run it again"
             )
         plan = EvaluationPlan.of_settings(read_settings(path))
-        check_same_sources(plan, provenance, path)
+        check_same_sources(plan, provenance, path, trusted)
         console.print(f"Among {one['name']}", highlight=False, markup=False)
         prepared = prepare_run(plan)
         with ResultsFolder.reopen(path) as folder:
@@ -126,7 +131,7 @@ def _read_record(path: Path) -> dict[str, Any]:
     try:
         content = json.loads((path / RECORD).read_text(encoding="utf-8"))
         names = [one["name"] for one in content["populations"]]
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         raise ConfigError(f"{path / RECORD} is missing or damaged; run the cross-play again") from None
     if any(Path(name).name != name or name == ".." for name in names):
         raise ConfigError(f"{path / RECORD} names a folder outside of {path}; run the cross-play again")

@@ -13,6 +13,7 @@ from dune_rl.config.checks import validate
 from dune_rl.config.commands import EvaluateConf
 from dune_rl.core.errors import CheckpointError, ConfigError
 from dune_rl.core.files import sha256_of, write_atomically, write_csv
+from dune_rl.core.untrusted_files import parse_yaml
 from dune_rl.evaluation.blocks import FinishedEpisode
 from dune_rl.evaluation.columns import describe_columns
 from dune_rl.evaluation.tables import write_tables
@@ -75,7 +76,7 @@ class ResultsFolder:
         whole = []
         for line in lines:
             # One may have been cut off with the process; its episode is run again.
-            with contextlib.suppress(ValueError, TypeError):
+            with contextlib.suppress(ValueError, TypeError, RecursionError):
                 episode = FinishedEpisode(**json.loads(line))
                 folder.finished[episode.policy, episode.episode] = episode
                 whole.append(line)
@@ -196,7 +197,7 @@ def read_provenance(path: Path) -> dict[str, Any]:
     """provenance.json of a results folder; raises ConfigError if there is none."""
     try:
         content = json.loads((path / PROVENANCE).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         content = None
     if not isinstance(content, dict) or not _has_sources(content):
         raise ConfigError(
@@ -219,8 +220,8 @@ def _has_sources(content: Mapping[str, Any]) -> bool:
 def read_settings(path: Path) -> EvaluateConf:
     """The settings of a results folder; raises ConfigError if they cannot be read."""
     try:
-        content = yaml.safe_load((path / CONFIG).read_text(encoding="utf-8"))
-    except (OSError, ValueError, yaml.YAMLError):
+        content = parse_yaml((path / CONFIG).read_bytes())
+    except (OSError, ValueError):
         content = None
     if not isinstance(content, Mapping):
         raise ConfigError(f"{path / CONFIG} is missing or damaged; evaluate again")

@@ -19,7 +19,7 @@ from dune_rl.core.errors import ConfigError, DuneError
 from dune_rl.core.files import sha256_of
 from dune_rl.core.suggestions import closest
 from dune_rl.env.torchrl.episode_metrics import simulation_in
-from dune_rl.learning.checkpoint import POLICY_SOURCES, find_checkpoint_file, read_policy_file
+from dune_rl.learning.checkpoint import POLICY_SOURCES, find_checkpoint_file, interpreting, read_policy_file
 from dune_rl.learning.group_policy import Policy
 from dune_rl.learning.policies import built_in_policy
 from dune_rl.learning.policy_spec import PolicySpec
@@ -45,8 +45,8 @@ class PolicySource:
             return find_checkpoint_file(Path(self.location), *POLICY_SOURCES)
         return Path(self.location) if self.kind == "onnx" else None
 
-    def plain(self) -> dict[str, str | None]:
-        """Plain data, with the SHA-256 of the file, and which policy of its run that holds.
+    def plain(self) -> dict[str, Any]:
+        """Plain data, with the SHA-256 of the file, which policy of its run it has, and where that began.
 
         Raises ConfigError if that cannot be read.
         """
@@ -54,10 +54,12 @@ class PolicySource:
             sha256 = None if self.file is None else sha256_of(self.file)
         except OSError as error:
             raise ConfigError(f"{self.location} cannot be read: {error.strerror or error}") from None
-        trained = None
+        trained, started_from = None, {}
         if self.kind == "checkpoint" and self.file is not None:
-            trained = describe_selection(read_policy_file(self.file)[1])
-        return {**asdict(self), "sha256": sha256, "trained": trained}
+            file, content = read_policy_file(self.file)
+            with interpreting(file):
+                trained, started_from = describe_selection(content), content.get("started_from", {})
+        return {**asdict(self), "sha256": sha256, "trained": trained, "started_from": started_from}
 
     def load(self, env: EnvBase) -> Policy:
         """The policy for all groups of `env`; raises DuneError where it does not fit."""

@@ -3,6 +3,7 @@
 import os
 import platform
 import sys
+from collections.abc import Collection
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -60,8 +61,21 @@ def _forecasts(plan: EvaluationPlan) -> dict[str, str]:
     return found
 
 
-def check_same_sources(plan: EvaluationPlan, provenance: dict[str, Any], path: Path) -> None:
-    """Raise ConfigError unless the set and the weights of `plan` are those of the results in `path`."""
+def check_same_sources(
+    plan: EvaluationPlan, provenance: dict[str, Any], path: Path, trusted: Collection[str] = ()
+) -> None:
+    """Raise ConfigError unless the set and the weights of `plan` are those of the results in `path`.
+
+    Functions of users are refused unless they are `trusted`: importing one runs code, and the folder that
+    names it may come from somebody else.
+    """
+    code = [one.location for one in plan.sources if one.kind == "callable" and one.location not in trusted]
+    if code:
+        words = code[0] if len(code) == 1 else f"[{','.join(code)}]"
+        raise ConfigError(
+            f"{path} has results of {' and '.join(code)}, whose code would be run.\n"
+            f"If you trust it, add policy={words}"
+        )
     forecasts = provenance.get("forecasts")
     if forecasts is not None and forecasts != _forecasts(plan):
         raise ConfigError(

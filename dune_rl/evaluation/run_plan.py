@@ -5,11 +5,13 @@ from pathlib import Path
 
 from rich.console import Console
 
+from dune_rl.config.commands import Processes
 from dune_rl.core.files import write_csv
-from dune_rl.evaluation.blocks import FinishedEpisode, missing_blocks
+from dune_rl.evaluation.blocks import EpisodeBlock, FinishedEpisode, missing_blocks
 from dune_rl.evaluation.folder import ATTEMPTS, COMPARISON, RUNS, SUMMARY, ResultsFolder
 from dune_rl.evaluation.processes import run_in_processes
 from dune_rl.evaluation.protocols.report import attempt_rows, estimate_runs, finished_runs, show_runs
+from dune_rl.evaluation.ray_tasks import run_on_ray
 from dune_rl.evaluation.recorder import START_COLUMNS
 from dune_rl.evaluation.running import BlockRunner, EvaluationPlan
 from dune_rl.evaluation.tables import (
@@ -39,7 +41,7 @@ def run_plan(
     folder: ResultsFolder,
     runner: BlockRunner,
     console: Console,
-    processes: int,
+    processes: Processes,
     resume: Path | None = None,
 ) -> None:
     """Run the episodes that `folder` lacks, write its tables and show them.
@@ -55,9 +57,20 @@ def run_plan(
         return finished_runs(plan, folder.finished.values()) if has_runs else folder.finished.keys()
 
     scenes = 1 if has_runs else plan.scenes
-    blocks = missing_blocks(len(plan.sources), plan.episodes, done(), scenes, processes)
+
+    part = plan.part_of(plan.conf)
+    others = {
+        (policy, number)
+        for policy in range(len(plan.sources))
+        for number in range(plan.episodes)
+        if number not in part
+    }
+
+    def find_blocks(processes: int) -> list[EpisodeBlock]:
+        return missing_blocks(len(plan.sources), plan.episodes, {*done(), *others}, scenes, processes)
+
     name = plan.sources[0].name if len(plan.sources) == 1 else f"{len(plan.sources)} policies"
-    total = len(plan.sources) * plan.episodes
+    total = len(plan.sources) * len(part)
     try:
         with show_episodes(console, name, total, counted=unit) as show:
 
@@ -66,11 +79,14 @@ def run_plan(
                     folder.add(episode)
                 show(len(done()))
 
-            if processes == 1 or len(blocks) <= 1:
-                for block in blocks:
+            # Where others run the blocks, its memory is for them.
+            if processes == "ray":
+                runner.close()
+                run_on_ray(plan, find_blocks, keep)
+            elif processes == 1 or len(blocks := find_blocks(processes)) <= 1:
+                for block in find_blocks(1):
                     runner.run(block, keep)
             else:
-                # Its memory is for the others.
                 runner.close()
                 run_in_processes(plan, blocks, processes, keep)
     except BaseException:
@@ -85,6 +101,10 @@ def run_plan(
     if not runner.env.is_closed:
         runner.close()
     folder.write()
+    if plan.conf.part is not None:
+        text = f"Part {plan.conf.part}: {folder.path}; join=FOLDER joins all parts in it"
+        console.print(text, highlight=False, soft_wrap=True)
+        return
     _report(plan, folder, agents, console)
     folder.complete()
     console.print(f"Results: {folder.path}", highlight=False, soft_wrap=True)

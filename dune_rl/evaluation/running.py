@@ -54,6 +54,16 @@ class EvaluationPlan:
             return self.conf.scenes
         return min(self.conf.scenes, self.episodes)
 
+    def part_of(self, conf: EvaluateConf) -> range:
+        """The episodes (or runs) of `conf.part`, all of them without one; it begins where a batch does."""
+        if conf.part is None:
+            return range(self.episodes)
+        number, parts = map(int, conf.part.split("/"))
+        unit = 1 if conf.protocol is not None else self.scenes
+        batches = -(-self.episodes // unit)
+        first, last = ((part * batches // parts) * unit for part in (number - 1, number))
+        return range(min(first, self.episodes), min(last, self.episodes))
+
 
 class BlockRunner:
     """Runs blocks of a plan, all in one environment.

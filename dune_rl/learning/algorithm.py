@@ -59,6 +59,8 @@ class Algorithm(ABC):
     architecture = Architecture((256, 256))
     # False: the group acts by its policy, and nothing is learned.
     learns = True
+    # Where it is a `FiniteAdam`, the trainer counts the updates that are left out.
+    optimiser: torch.optim.Optimizer | None = None
     # Other algorithms whose policies have the same networks, and can be started from.
     starts_from: tuple[str, ...] = ()
 

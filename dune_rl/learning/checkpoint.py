@@ -1,18 +1,24 @@
 """Checkpoint files: written atomically, and read without executing code from them."""
 
-import pickle
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from dune_rl.core.errors import CheckpointError
-from dune_rl.core.files import write_atomically
+from pydantic import BaseModel, ValidationError
+
+from dune_rl.core.errors import CheckpointError, DuneError
+from dune_rl.core.files import check_not_later, write_atomically
+from dune_rl.core.untrusted_files import check_archive, first_line, printable
+from dune_rl.core.version import VERSION as PACKAGE_VERSION
 
 FORMAT = "dune_rl"
 VERSION = 3
 # The published policies of experiments/flat: one policy, with flat keys.
 _OLD_POLICY_VERSION = 2
+# Of a run: its settings, and all that it goes on with.
+CONFIG_FILE = "config.yaml"
 CHECKPOINT_FILE = "checkpoint.pt"
 BEST_POLICY_FILE = "policy_best.pt"
 LAST_POLICY_FILE = "policy_last.pt"
@@ -22,6 +28,21 @@ POLICY_FILE = "policy.pt"
 POLICY_SOURCES = (BEST_POLICY_FILE, POLICY_FILE, CHECKPOINT_FILE)
 
 
+class _Entry(BaseModel):
+    # The weights are checked by the network that takes them.
+    algorithm: str
+    spec: dict[str, Any]
+    network: dict[str, Any]
+
+
+class _Content(BaseModel):
+    """What files of every kind have."""
+
+    groups: dict[str, _Entry]
+    config: dict[str, Any]
+    started_from: dict[str, dict[str, str]] = {}
+
+
 def write_checkpoint_file(path: Path, kind: str, content: Mapping[str, Any]) -> None:
     """Write `content` (plain containers and tensors) as a file of this `kind`; raises CheckpointError."""
     # Imported here: the command lines import this module, and many of them do not need PyTorch.
@@ -29,7 +50,8 @@ def write_checkpoint_file(path: Path, kind: str, content: Mapping[str, Any]) -> 
 
     try:
         with write_atomically(path) as temporary:
-            torch.save({"format": FORMAT, "version": VERSION, "kind": kind, **content}, temporary)
+            head = {"format": FORMAT, "version": VERSION, "written_by": PACKAGE_VERSION, "kind": kind}
+            torch.save({**head, **content}, temporary)
     except (OSError, RuntimeError) as error:
         # PyTorch's writer raises a RuntimeError, about offsets in the file, where the disk is full.
         reason = getattr(error, "strerror", None) or "the disk seems to be full"
@@ -49,6 +71,8 @@ def read_checkpoint_file(path: Path, *kinds: str) -> dict[str, Any]:
             f"Copy it again, or give another {BEST_POLICY_FILE} or {CHECKPOINT_FILE} of the run's folder."
         )
     try:
+        with path.open("rb") as file:
+            check_archive(file)
         content = torch.load(path, map_location="cpu", weights_only=True)
     except FileNotFoundError as error:
         raise CheckpointError(
@@ -56,22 +80,45 @@ def read_checkpoint_file(path: Path, *kinds: str) -> dict[str, Any]:
             f"Give a run's folder, or a {BEST_POLICY_FILE} or {CHECKPOINT_FILE} inside one, "
             "or a published policy.pt."
         ) from error
-    except (OSError, RuntimeError, EOFError, ValueError, KeyError, pickle.UnpicklingError) as error:
+    # A damaged pickle may make its reader raise anything.
+    except Exception as error:
         raise CheckpointError(_unreadable(path, error)) from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise CheckpointError(
             f"{path} was not written by dune_rl.\nGive a {BEST_POLICY_FILE} or {CHECKPOINT_FILE} of a run."
         )
-    if (content["version"], content["kind"]) == (_OLD_POLICY_VERSION, "policy"):
-        content = _read_old_policy(content)
-    elif content["version"] != VERSION:
+    version, kind = (printable(str(content.get(key))) for key in ("version", "kind"))
+    if version not in (str(VERSION), str(_OLD_POLICY_VERSION)):
+        check_not_later(path, content.get("version"), VERSION, content.get("written_by"), CheckpointError)
         raise CheckpointError(
-            f"{path} has format {content['version']}; this dune_rl reads {VERSION}.\n"
+            f"{path} has format {version}; this dune_rl reads {VERSION}.\n"
             "Use the version of dune_rl that wrote it, or train again."
         )
-    if content["kind"] not in kinds:
-        raise CheckpointError(f"{path} is a {content['kind']}, but a {' or '.join(kinds)} is needed here.")
+    if kind not in kinds:
+        raise CheckpointError(f"{path} is a {kind}, but a {' or '.join(kinds)} is needed here.")
+    with interpreting(path):
+        if version == str(_OLD_POLICY_VERSION):
+            content = _read_old_policy(content)
+        _Content.model_validate(content)
     return content
+
+
+@contextmanager
+def interpreting(path: Path) -> Iterator[None]:
+    """A context in which the content of the file at `path` is used.
+
+    What is not as dune_rl writes it becomes a CheckpointError.
+    """
+    try:
+        yield
+    except DuneError:
+        raise
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = printable(".".join(map(str, first["loc"])))
+        raise CheckpointError(_unreadable(path, ValueError(f"{where}: {first['msg']}"))) from error
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RuntimeError) as error:
+        raise CheckpointError(_unreadable(path, error)) from error
 
 
 def _read_old_policy(content: dict[str, Any]) -> dict[str, Any]:
@@ -85,7 +132,7 @@ def _unreadable(path: Path, error: Exception) -> str:
     if isinstance(error, OSError):
         return f"{path} cannot be read: {error.strerror or error}.\nCheck the path and its permissions."
     return (
-        f"{path} is damaged, or was not written by dune_rl.\n"
+        f"{path} is damaged, or was not written by dune_rl ({type(error).__name__}: {first_line(error)}).\n"
         f"Give another {BEST_POLICY_FILE} or {CHECKPOINT_FILE} of the run's folder."
     )
 

@@ -1,9 +1,7 @@
-"""Collection of transitions: in this process, or in worker processes."""
+"""Collection of transitions: in this process, in worker processes, or on a Ray cluster."""
 
-import signal
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -20,7 +18,8 @@ from dune_rl.learning.algorithm import MakeEnv
 from dune_rl.learning.episode_begins import EpisodeBegins
 from dune_rl.learning.group_policy import GroupPolicy, JointPolicy
 from dune_rl.learning.population import OpponentDraws, Population, PopulationPolicy
-from dune_rl.learning.process import WorkerMonitor
+from dune_rl.learning.process import WorkerMonitor, blocked_signals
+from dune_rl.learning.ray_workers import RayWorkers
 from dune_rl.learning.settings import CollectorConf
 
 
@@ -32,7 +31,7 @@ def learner_threads(conf: CollectorConf) -> int:
     """
     if conf.mode == "serial":
         return 1
-    return min(4, max(1, available_cores() - conf.workers))
+    return min(4, max(1, available_cores() - conf.processes_here))
 
 
 def environment_seed(seed: int, worker: int, frames: int) -> int:
@@ -59,20 +58,6 @@ def _env_with_draws(make_env: MakeEnv, num_groups: int, scenes: int, seed: int) 
     return make_env(scenes, seed).append_transform(OpponentDraws(num_groups))
 
 
-@contextmanager
-def _blocked_signals() -> Iterator[None]:
-    # Processes started meanwhile inherit the mask for life: Ctrl-C then reaches the learner alone, which
-    # ends them in order. The learner itself gets what arrived as soon as the block ends.
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
 class TransitionCollector:
     """Collects batches (scenes, steps) with policies of all groups, whose weights are sent now and then.
 
@@ -94,8 +79,9 @@ class TransitionCollector:
         threads: int = 1,
         stage: int = 0,
         population: Population | None = None,
+        note: Callable[[str], None] = lambda line: None,
     ) -> None:
-        """`threads` are the learners', which TorchRL's collectors set again."""
+        """`threads` are the learners', which TorchRL's collectors set again; `note` gets lines to show."""
         self._population = population
         if population is not None:
             policies = population.join(policies)
@@ -109,6 +95,7 @@ class TransitionCollector:
         most = conf.episodes_per_worker
         self._episodes_left = float("inf") if most is None else most * conf.processes
         self._env: EnvBase | None = None
+        self._collector: Any
         common: dict[str, Any] = {
             "policy": self._policy,
             "frames_per_batch": conf.frames_per_batch,
@@ -128,15 +115,20 @@ class TransitionCollector:
                     recurrent.memory = state["memories"][recurrent.group]
             self._monitor = WorkerMonitor(())
             return
-        factories = [
-            partial(_worker_env, make_env, conf.scenes, environment_seed(seed, worker, frames))
-            for worker in range(conf.workers)
-        ]
+
+        def make_env_of(worker: int) -> Callable[[], EnvBase]:
+            return partial(_worker_env, make_env, conf.scenes, environment_seed(seed, worker, frames))
+
+        if conf.mode == "ray":
+            self._collector = RayWorkers(conf.workers, make_env_of, self._policy, conf.frames_per_batch, note)
+            self._monitor = WorkerMonitor(())
+            return
+        factories = [make_env_of(worker) for worker in range(conf.workers)]
         kind = MultiAsyncCollector if conf.mode == "async" else MultiSyncCollector
         if conf.mode == "sync":
             # The scenes of all workers side by side.
             common["cat_results"] = 0
-        with _blocked_signals():
+        with blocked_signals():
             self._collector = kind(factories, num_threads=threads, num_sub_threads=1, **common)
         self._monitor = WorkerMonitor(self._collector.procs)
 

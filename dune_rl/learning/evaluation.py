@@ -233,12 +233,15 @@ class PeriodicEvaluation:
             "best_score": self._best_score,
             "evaluated_at": self._evaluated_at,
             "next_evaluation": self._next_at,
+            "rows": self.rows,
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
         self._best_score = state["best_score"]
         self._evaluated_at = state["evaluated_at"]
         self._next_at = state["next_evaluation"]
+        # Earlier versions did not save them.
+        self.rows = dict(state.get("rows", {}))
 
     def close(self) -> None:
         self._env.close()

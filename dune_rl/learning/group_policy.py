@@ -129,13 +129,14 @@ def acted_by_past(batch: TensorDictBase, group: str) -> torch.Tensor | None:
     return None if flags is None else flags[..., 0, 0]
 
 
-def select_group(batch: TensorDictBase, group: str) -> TensorDictBase:
+def select_group(batch: TensorDictBase, group: str, faulty: torch.Tensor | None = None) -> TensorDictBase:
     """What a collected batch (M scenes, T steps) holds of the G agents of `group`, with batch size (M, T, G).
 
     Entries are "observation", "action", "done" and so on, and the same under "next" after the step. An agent
     is "done" after the step at its own end or at its episode's, so that no sequence goes on into the next
     episode; "done" before the step marks an agent that ended earlier in this episode, or has not come yet,
-    and idles, and one that acted by a past policy, of which nothing is learned.
+    and idles, and one that acted by a past policy, of which nothing is learned. Steps that are `faulty`
+    (M, T) are marked as well, and the steps before them as the last of their sequences.
     """
     now, after = batch.get(group), batch.get(("next", group))
     past = now.get(PAST, None)
@@ -143,6 +144,10 @@ def select_group(batch: TensorDictBase, group: str) -> TensorDictBase:
         # A copy of the shell: the batch itself is left as it is.
         now = now.exclude(PAST).set("done", now.get("done") | past)
     ended = batch.get(("next", "done")).unsqueeze(-2)
+    if faulty is not None:
+        now = now.copy().set("done", now.get("done") | faulty[..., None, None])
+        ended = ended.clone()
+        ended[:, :-1] |= faulty[:, 1:, None, None]
     following = TensorDict(dict(after.items()) | {"done": after.get("done") | ended}, after.batch_size)
     return TensorDict(dict(now.items()) | {"next": following}, now.batch_size)
 

@@ -11,9 +11,10 @@ from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 
 from dune_rl.core.errors import CheckpointError, ConfigError, DuneWarning
+from dune_rl.core.files import sha256_of
 from dune_rl.core.suggestions import one_of
 from dune_rl.learning.algorithm import Algorithm, LearnerContext
-from dune_rl.learning.checkpoint import BEST_POLICY_FILE, CHECKPOINT_FILE, read_policy_file
+from dune_rl.learning.checkpoint import BEST_POLICY_FILE, CHECKPOINT_FILE, interpreting, read_policy_file
 from dune_rl.learning.group_policy import Deterministic, GroupPolicy
 from dune_rl.learning.policy_spec import GroupMismatchError, PolicyMismatchError, PolicySpec
 from dune_rl.learning.registry import ALGORITHMS
@@ -100,14 +101,17 @@ class FrozenPolicy(Algorithm):
         self._saved = replace(self._saved, weights=dict(state["policy"]))
 
 
-def start_learners(learners: Mapping[str, Algorithm], conf: LearningConf) -> None:
+def start_learners(learners: Mapping[str, Algorithm], conf: LearningConf) -> dict[str, dict[str, str]]:
     """Load the weights that `start_from` names into each learner that has it set in `conf`.
+
+    Returns their files by group, each with its SHA-256: a path alone does not say which weights it had.
 
     Of a run's folder the last checkpoint is read, or where it has none, its policy; a warning tells where
     critics are new. Raises CheckpointError, which names the setting, where the file cannot be
     read, has nothing for the group, or other networks; GroupMismatchError where its policy is for
     other observations or actions.
     """
+    origins = {}
     for group, learner in learners.items():
         setting, location = conf.start_of(group)
         if location is None:
@@ -118,7 +122,8 @@ def start_learners(learners: Mapping[str, Algorithm], conf: LearningConf) -> Non
                 raise CheckpointError(fault)
             entry = saved_entry(content["groups"], source, group)
             remedy, relatives = "Set {}, or start from another run.", learner.starts_from
-            require_same_networks(learner, entry, source, remedy, conf, group, relatives)
+            with interpreting(source):
+                require_same_networks(learner, entry, source, remedy, conf, group, relatives)
         except PolicyMismatchError as error:
             raise GroupMismatchError(f"{setting}: {error}", group, location) from None
         except CheckpointError as error:
@@ -127,14 +132,19 @@ def start_learners(learners: Mapping[str, Algorithm], conf: LearningConf) -> Non
             note = f"{setting}: {source} has a policy alone; its critics, which teach it, begin anew"
             warnings.warn(note, DuneWarning, stacklevel=2)
         try:
-            learner.start_from(entry.get("learner", entry))
-        except RuntimeError:
+            with interpreting(source):
+                learner.start_from(entry.get("learner", entry))
+        except CheckpointError as error:
+            if not isinstance(error.__cause__, RuntimeError):
+                raise
             # The policies' networks are the same, by the check above.
             raise CheckpointError(
                 f"{setting}: {source} has critics of another shape.\n"
                 "Use the privileged sensors and the algorithm's settings of its run, or start from its "
                 f"{BEST_POLICY_FILE}, which has a policy alone."
             ) from None
+        origins[group] = {"file": str(source), "sha256": sha256_of(source)}
+    return origins
 
 
 def describe_missing_start(
@@ -178,10 +188,11 @@ def restore_learners(
         )
     for group, learner in learners.items():
         entry = saved[group]
-        require_same_networks(learner, entry, source, "Resume with {}, or train again.", conf, group)
-        learner.load_state_dict(entry["learner"])
-        if entry["experience"] is not None:
-            learner.load_experience(source.parent, entry["experience"])
+        with interpreting(source):
+            require_same_networks(learner, entry, source, "Resume with {}, or train again.", conf, group)
+            learner.load_state_dict(entry["learner"])
+            if entry["experience"] is not None:
+                learner.load_experience(source.parent, entry["experience"])
 
 
 def require_same_networks(

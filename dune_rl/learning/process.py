@@ -7,7 +7,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from multiprocessing import connection
+from multiprocessing import connection, resource_tracker
 from multiprocessing.process import BaseProcess
 from types import FrameType
 from typing import Any, TypeVar
@@ -16,6 +16,11 @@ import numpy as np
 import torch
 
 from dune_rl.core.errors import TrainingError
+
+# Ctrl-C, the end that a system asks for, and what batch systems send some time before they end a job.
+STOP_SIGNALS = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGUSR1", "SIGUSR2") if hasattr(signal, name)
+)
 
 
 class StopRequest:
@@ -28,7 +33,7 @@ class StopRequest:
 
 @contextmanager
 def stop_on_signals(announce: Callable[[str], None] = lambda line: None) -> Iterator[StopRequest]:
-    """Note SIGINT and SIGTERM instead of dying of them; a second Ctrl-C interrupts at once, as usual.
+    """Note `STOP_SIGNALS` instead of dying of them; a second Ctrl-C interrupts at once, as usual.
 
     `announce` gets a line for the user. Outside the main thread, which alone receives signals, nothing is
     changed.
@@ -37,7 +42,7 @@ def stop_on_signals(announce: Callable[[str], None] = lambda line: None) -> Iter
     if threading.current_thread() is not threading.main_thread():
         yield request
         return
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.getsignal(number) for number in STOP_SIGNALS}
 
     def note(number: int, _frame: FrameType | None) -> None:
         request.signal = number
@@ -53,6 +58,30 @@ def stop_on_signals(announce: Callable[[str], None] = lambda line: None) -> Iter
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def blocked_signals() -> Iterator[None]:
+    """Block `STOP_SIGNALS`, for processes that are started meanwhile: these inherit the mask for life.
+
+    Ctrl-C, or what a batch system sends to all processes of a job, then reaches the learner alone, which ends
+    them in order. The learner itself gets what arrived as soon as the block ends.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def start_resource_tracker() -> None:
+    """Start Python's process that cleans up after others; started by Python, it would die of SIGUSR1."""
+    if hasattr(signal, "pthread_sigmask"):
+        with blocked_signals():
+            resource_tracker.ensure_running()
 
 
 def random_state() -> dict[str, Any]:

@@ -11,7 +11,7 @@ from torchrl.envs import EnvBase
 
 from dune_rl.core.errors import CheckpointError
 from dune_rl.learning.algorithm import Algorithm
-from dune_rl.learning.checkpoint import read_policy_file
+from dune_rl.learning.checkpoint import interpreting, read_policy_file
 from dune_rl.learning.group_policy import Deterministic, GroupPolicy, JointPolicy
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.registry import algorithm_class
@@ -49,8 +49,9 @@ def policy_entry(learner: Algorithm) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class SavedPolicy:
-    """One policy of a file: algorithm's name, spec, network's settings, weights, and its run's settings."""
+    """One policy of `file`: algorithm's name, spec, network's settings, weights, and its run's settings."""
 
+    file: Path
     algorithm: str
     spec: PolicySpec
     network: Mapping[str, Any]
@@ -58,10 +59,11 @@ class SavedPolicy:
     config: dict[str, Any]
 
     def make_network(self, device: torch.device | str = "cpu") -> TensorDictModuleBase:
-        network: TensorDictModuleBase = algorithm_class(self.algorithm, "the policy").make_network(
-            self.spec, self.network, device
-        )
-        network.load_state_dict(self.weights)
+        with interpreting(self.file):
+            network: TensorDictModuleBase = algorithm_class(self.algorithm, "the policy").make_network(
+                self.spec, self.network, device
+            )
+            network.load_state_dict(self.weights)
         return network
 
 
@@ -79,12 +81,13 @@ def _saved_policy(
     file: Path, content: Mapping[str, Any], group: str, here: PolicySpec, *, allow_more: bool
 ) -> SavedPolicy:
     entry = saved_entry(content["groups"], file, group)
-    spec = PolicySpec.from_plain(entry["spec"])
-    spec.require(here.only(spec.keys) if allow_more else here, str(file))
-    algorithm_class(entry["algorithm"], str(file))
-    # A checkpoint has the weights among the learner's state.
-    weights = entry["policy"] if "policy" in entry else entry["learner"]["policy"]
-    return SavedPolicy(entry["algorithm"], spec, entry["network"], weights, content["config"])
+    with interpreting(file):
+        spec = PolicySpec.from_plain(entry["spec"])
+        spec.require(here.only(spec.keys) if allow_more else here, str(file))
+        algorithm_class(entry["algorithm"], str(file))
+        # A checkpoint has the weights among the learner's state.
+        weights = entry["policy"] if "policy" in entry else entry["learner"]["policy"]
+    return SavedPolicy(file, entry["algorithm"], spec, entry["network"], weights, content["config"])
 
 
 def load_group_policy(
@@ -128,6 +131,8 @@ def saved_entry(groups: Mapping[str, Any], file: Path, group: str) -> Mapping[st
 
     One group alone serves a group of any name.
     """
+    if not groups:
+        raise CheckpointError(f"{file} has no policies.\nGive another file of the run's folder.")
     if group not in groups and len(groups) > 1:
         raise CheckpointError(
             f"{file} has no policy for the group {group}, but for {', '.join(sorted(groups))}.\n"

@@ -5,6 +5,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
+from dune_rl.core.ray_cluster import is_elsewhere
 from dune_rl.core.settings import Settings, merge_nested
 from dune_rl.env.curriculum import CurriculumSettings
 
@@ -12,10 +13,10 @@ Width = Annotated[int, Field(ge=1, le=8192)]
 
 
 class CollectorConf(Settings):
-    """Processes that step the environments: `serial` is deterministic, `async` is fastest."""
+    """Processes that step the environments: `serial` is deterministic, `async` is fastest on one machine."""
 
-    mode: Literal["serial", "sync", "async"] = "async"
-    workers: int = Field(1, ge=1, le=1024, description="processes, in the modes sync and async")
+    mode: Literal["serial", "sync", "async", "ray"] = "async"
+    workers: int = Field(1, ge=1, le=1024, description="processes, in all modes but serial; ray: a CPU each")
     scenes: int = Field(16, ge=1, le=8192, description="scenes stepped as one batch, in each process")
     steps: int = Field(32, ge=1, description="steps of every scene between two hand-overs to the learner")
 
@@ -27,6 +28,11 @@ class CollectorConf(Settings):
     def processes(self) -> int:
         """Worker processes beside the learner's own."""
         return 0 if self.mode == "serial" else self.workers
+
+    @property
+    def processes_here(self) -> int:
+        """Those of them on this machine."""
+        return 0 if self.mode == "ray" and is_elsewhere() else self.processes
 
     @property
     def frames_per_batch(self) -> int:

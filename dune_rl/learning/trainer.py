@@ -1,5 +1,6 @@
 """The training loop: collect, learn, evaluate and save, for every agent group that trains."""
 
+import errno
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -13,10 +14,15 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
-from dune_rl.core.errors import DuneWarning, TrainingError
+from dune_rl.core.errors import CheckpointError, DivergenceError, DuneWarning, TrainingError
 from dune_rl.env.curriculum import CurriculumConf
 from dune_rl.learning.algorithm import MakeEnv
-from dune_rl.learning.checkpoint import CHECKPOINT_FILE, find_checkpoint_file, read_checkpoint_file
+from dune_rl.learning.checkpoint import (
+    CHECKPOINT_FILE,
+    find_checkpoint_file,
+    interpreting,
+    read_checkpoint_file,
+)
 from dune_rl.learning.collector import TransitionCollector, learner_threads
 from dune_rl.learning.evaluation import EvaluationPictures, PeriodicEvaluation
 from dune_rl.learning.group_policy import select_group
@@ -29,14 +35,20 @@ from dune_rl.learning.process import (
     keep_freed_memory,
     random_state,
     set_random_state,
+    start_resource_tracker,
     stop_on_signals,
 )
+from dune_rl.learning.run.diverged import DivergedScenes
+from dune_rl.learning.run.finite import SkippedUpdates, check_weights
 from dune_rl.learning.run.folder import RunFolder
 from dune_rl.learning.run.log import RunLog
 from dune_rl.learning.run.progress import Reporter, RunStatus
 from dune_rl.learning.run.tensorboard import HParam
 from dune_rl.learning.settings import LearningConf
 from dune_rl.statistics.measures import MetricsRow
+
+# The writer of TensorBoard's file names no file.
+_DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 
 
 @dataclass(frozen=True)
@@ -93,6 +105,7 @@ class Trainer:
         action_repeat: int = 1,
         make_evaluation_env: MakeEnv | None = None,
     ) -> None:
+        start_resource_tracker()
         source = find_checkpoint_file(resume, CHECKPOINT_FILE) if resume else None
         self._saved = read_checkpoint_file(source, "checkpoint") if source else None
         learning = learning.resolved(device)
@@ -121,24 +134,30 @@ class Trainer:
         self._level: float | None = None
         self._judged, self._action_repeat = judged, action_repeat
         self._warmup = WarmUp(self._learners)
+        self._diverged = DivergedScenes(env.metric_names, self._reporter.note)
+        self._updates_left_out = SkippedUpdates(self._learners, self._reporter.note)
         self._status = RunStatus(self._reporter, self._evaluation, total_frames)
         if self._saved is None:
-            start_learners(self._learners, learning)
+            self._folder.started_from = start_learners(self._learners, learning)
         elif source is not None:
             restore_learners(self._learners, self._saved["groups"], source, learning)
-            counters = self._saved["counters"]
-            self.frames, self._next_save = counters["frames"], counters["next_save"]
-            self._level = self._saved["collector"].get("level")
-            self._evaluation.restore(counters)
-            if self._population is not None and self._saved["population"] is not None:
-                self._population.restore(self._saved["population"])
+            self._folder.started_from = self._saved.get("started_from", {})
+            with interpreting(source):
+                counters = self._saved["counters"]
+                self.frames, self._next_save = counters["frames"], counters["next_save"]
+                self._level = self._saved["collector"].get("level")
+                self._evaluation.restore(counters)
+                if self._population is not None and self._saved["population"] is not None:
+                    self._population.restore(self._saved["population"])
         self._pictures = None
         if make_pictures is not None and evaluation.tracks:
             self._pictures = make_pictures(env, min(evaluation.tracks, evaluation.episodes))
         resumed_at = None if self._saved is None else self.frames
+        self._folder.save_config()
         self._log = RunLog(run_dir, env.metric_names, resumed_at=resumed_at)
-        if self._saved is not None:
-            self._log.restore(self._saved["log"])
+        if self._saved is not None and source is not None:
+            with interpreting(source):
+                self._log.restore(self._saved["log"])
         self._log.begin_session(hyperparameters or {})
 
     @property
@@ -172,6 +191,9 @@ class Trainer:
             collector = self._make_collector()
             torch.set_num_threads(self._threads)
             try:
+                if self.frames < end and self._evaluation.is_due(self.frames):
+                    # A signal ended the run before this evaluation, or amid it.
+                    self._evaluate(stop)
                 while self.frames < end:
                     self._loop(collector, end, stop)
                     if stop():
@@ -188,11 +210,25 @@ class Trainer:
                     self._log.end_session(self._evaluation.rows, objective, self.frames)
                 self._log.write()
                 self._log.draw(self._title)
+            except DivergenceError as error:
+                # What was saved last is better than what there is now.
+                self._log.write()
+                raise DivergenceError(
+                    f"{error}\n{self._folder.describe_last_save()}, with a lower learning.learning_rate, or "
+                    "with the reward or sensor mended that grows"
+                ) from error
             except TrainingError as error:
                 self._save(collector, with_experience=True)
                 self._log.write()
                 raise TrainingError(
                     f"{error}\nAll is saved at {self.frames:,} frames; go on with resume={self._folder.path}"
+                ) from error
+            except OSError as error:
+                if error.errno not in _DISK_ERRORS:
+                    raise
+                raise CheckpointError(
+                    f"{self._folder.path} cannot be written: {error.strerror}.\n"
+                    f"Free some space, or allow writing there. {self._folder.describe_last_save()}"
                 ) from error
             finally:
                 collector.close()
@@ -233,8 +269,9 @@ class Trainer:
     def _learn(self, batch: TensorDictBase) -> None:
         warmed_up = self._warmup.goes_on(self.frames)
         self.frames += batch.numel() * self._action_repeat
+        diverged = self._diverged.find(batch)
         for group, learner in self._learners.items():
-            learner.absorb(select_group(batch, group), self.frames)
+            learner.absorb(select_group(batch, group, diverged), self.frames)
         if self._conf.curriculum is not None:
             level = float(batch["next", "curriculum_level"][..., -1, :].mean())
             self._level = None if warmed_up else level
@@ -242,6 +279,9 @@ class Trainer:
         self._log.log_batch(batch, self.frames, self._updates, "warmup" if warmed_up else "train")
         for group, learner in self._learners.items():
             self._log.scalars(group, learner.update(), self.frames)
+        self._log.scalars(None, self._diverged.scalars(), self.frames)
+        self._updates_left_out.check()
+        self._log.scalars(None, self._updates_left_out.scalars(), self.frames)
         if warmed_up and not self._warmup.goes_on(self.frames):
             # What the learners' policies do is not to be mixed with what others did, nor with their speed.
             self._log.clear_recent()
@@ -249,6 +289,8 @@ class Trainer:
 
     def _make_collector(self) -> TransitionCollector:
         """A collector for the present phase: warm-up policies in this process, then the learners'."""
+        if self._saved is not None:
+            set_random_state(self._saved["random"])
         policies: dict[str, TensorDictModuleBase] = {
             group: learner.make_policy() for group, learner in self._learners.items()
         }
@@ -261,8 +303,10 @@ class Trainer:
             make_env = partial(make_env, curriculum=self._curriculum_now(self._conf.curriculum))
         for group, learner in self._learners.items():
             make_env = learner.wrap_environment(make_env, warms_up=group in first)
-        # New networks and first resets must not advance the random state: a resumed run repeats them.
-        before = random_state() if self._saved is None else self._saved["random"]
+        before = random_state()
+        if self._saved is not None and self._saved["collector"]["warming"] == self._warmup.stage:
+            # The run had made the networks of this phase already; these must not advance its random state.
+            before = self._saved["random"]
         collector = TransitionCollector(
             conf,
             make_env,
@@ -273,6 +317,7 @@ class Trainer:
             threads=self._threads,
             stage=self._warmup.stage,
             population=None if first else self._population,
+            note=self._reporter.note,
         )
         collector.send(self._warmup.learners_policies())
         set_random_state(before)
@@ -294,6 +339,7 @@ class Trainer:
         self._log.scalars(None, speeds, self.frames)
 
     def _evaluate(self, stop: StopRequest) -> None:
+        check_weights(self._learners)
         self._status.begin_evaluation(self.frames)
         is_best = self._evaluation.run(
             self.frames, stop, partial(self._status.report_evaluation, self.frames), self._pictures
@@ -310,6 +356,7 @@ class Trainer:
             self._folder.save_policies(self._learners, self.frames, self._evaluation.score())
 
     def _save(self, collector: TransitionCollector, *, with_experience: bool) -> None:
+        check_weights(self._learners)
         conf = self._conf.collector
         progress = {
             "random": random_state(),

@@ -13,7 +13,7 @@ from dune_rl.evaluation.folder import CONFIG, EPISODES, PART, PROVENANCE, STEPS,
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE
 from dune_rl.reporting.folder import why_no_folder
 from dune_rl.reporting.inputs import EvaluationRun, Note, ReportInputs, TrainingRun, with_unique_names
-from dune_rl.reporting.rows import Row, StepTable, read_rows
+from dune_rl.reporting.rows import Row, StepTable, is_number, read_rows
 from dune_rl.reporting.sweeps import HISTORY, is_sweep, read_sweep, read_yaml
 
 _REQUIRED = ("policy", "episode")
@@ -125,7 +125,7 @@ class _Reader:
         history = read_rows(path / HISTORY, empty=None)
         if not history:
             raise ConfigError(f"{HISTORY} has no rows: no episode has ended in its training")
-        if any("frames" not in row or "kind" not in row for row in history):
+        if any(not is_number(row.get("frames")) or "kind" not in row for row in history):
             raise ConfigError(f"{HISTORY} lacks the columns kind and frames, as those of other programs do")
         run, total = TrainingRun(path, "", config, history), config.get("total_frames")
         if isinstance(total, int) and run.frames < total:

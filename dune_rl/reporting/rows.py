@@ -9,6 +9,7 @@ from typing import Any, Self
 import numpy as np
 
 from dune_rl.core.errors import ConfigError
+from dune_rl.core.untrusted_files import first_line, printable
 from dune_rl.geometry.arrays import Array
 
 Row = dict[str, Any]
@@ -55,7 +56,9 @@ def _parse_column(file: Path, name: str, cells: Sequence[str]) -> Sequence[float
     if odd is None:
         return numbers
     if any(isinstance(value, float) for value in numbers):
-        raise ConfigError(f"{file.name}, line {odd + 2}: {name} is {cells[odd]!r}, which is no number")
+        raise ConfigError(
+            f"{file.name}, line {odd + 2}: {printable(name)} is {printable(cells[odd])!r}, which is no number"
+        )
     return cells
 
 
@@ -71,8 +74,8 @@ def _parse_number(cell: str) -> float | str | None:
 
 
 def is_number(value: object) -> bool:
-    """Whether a cell has a number that is not NaN."""
-    return isinstance(value, int | float) and not math.isnan(value)
+    """Whether a cell has a number that is finite."""
+    return isinstance(value, int | float) and math.isfinite(value)
 
 
 def column(rows: Sequence[Mapping[str, Any]], name: str) -> Array:
@@ -105,8 +108,7 @@ class StepTable:
         try:
             return cls(csv.read_csv(file, convert_options=options))
         except (arrow.ArrowException, OSError) as error:
-            reason = str(error).splitlines()[0]
-            raise ConfigError(f"{file.name} cannot be read ({reason}); evaluate again") from None
+            raise ConfigError(f"{file.name} cannot be read ({first_line(error)}); evaluate again") from None
 
     def __len__(self) -> int:
         return 0 if self._table is None else int(self._table.num_rows)

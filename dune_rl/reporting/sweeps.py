@@ -6,9 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from dune_rl.core.errors import ConfigError
+from dune_rl.core.untrusted_files import parse_yaml
 from dune_rl.metrics.catalogue import CATALOGUE
 from dune_rl.reporting.inputs import Note, Sweep, SweepJob, last_evaluation
 from dune_rl.reporting.rows import is_number, read_rows
@@ -112,6 +111,6 @@ def read_yaml(file: Path) -> Any:
     if not file.is_file():
         return None
     try:
-        return yaml.safe_load(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError, yaml.YAMLError):
+        return parse_yaml(file.read_bytes())
+    except (OSError, ValueError):
         return None

@@ -53,6 +53,25 @@ def test_a_loop_goes_round_and_round_in_one_direction() -> None:
     assert np.abs(np.angle(np.exp(1j * (course - poses[:-1, :, 3])))).max() < 0.1
 
 
+@pytest.mark.slow
+def test_a_day_of_steps_on_a_closed_path_ends_where_a_round_does() -> None:
+    # A step is as long as the spacing of the path, so that whole rounds are whole numbers of steps.
+    assert SPEED * STEP_S == SPACING_M
+    world, conf = yard(), PathConf(waypoints=SQUARE, mode="loop")
+    round_steps, day_steps = len(spline_loop(np.array(SQUARE), world.terrain)), round(24 * 3600 / STEP_S)
+    follower = PathFollower(conf, 1, 0.25, SharedPerScene([world]), speed_mps=SPEED)
+    follower.find_paths(world, points_anywhere, np.random.default_rng(0))
+    follower.reset(0, np.random.default_rng(0), np.array([[50.0, 50.0]]))
+    for step in range(1, day_steps + 1):
+        pose = follower.advance(STEP_S)
+        if step == day_steps % round_steps:
+            expected = pose.copy()
+    # Each of the additions rounds by half the spacing of floats at 86,400 m, at most.
+    rounding_m = day_steps * np.spacing(24 * 3600 * SPEED) / 2
+    assert rounding_m < 2e-5
+    np.testing.assert_allclose(pose[:, :3], expected[:, :3], rtol=0.0, atol=rounding_m)
+
+
 def test_a_path_once_begins_at_its_beginning_and_ends_at_its_end() -> None:
     poses = walked(PathConf(waypoints=SQUARE, mode="once"), 60.0)
     np.testing.assert_allclose(poses[0, :, :2], [SQUARE[0]] * 3, atol=1e-9)

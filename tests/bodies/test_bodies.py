@@ -70,6 +70,7 @@ def test_a_pillar_is_one_picture() -> None:
         PersonConf(clothes="mixed")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["person", "child"])
 def test_people_in_mixed_clothes_differ_in_colour_alone(name: str) -> None:
     mixed = body(name, clothes="mixed")

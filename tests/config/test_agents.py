@@ -208,6 +208,9 @@ def test_settings_of_a_run_with_groups_stay() -> None:
         ({"a": {"body": "rover_zero", "controller": "path"}},
          "agents.a: paths are walked by persons, and the body is rover_zero: choose another controller, and "
          "leave path out"),
+        ({"a": {"body": "rover_zero"}, "b": {"body": "person", "controller": "path", "task": "walking"}},
+         "agents.b: task: agents that are moved along a path or a trajectory earn nothing and end no "
+         "episode: leave task out (null), or write controller: external"),
         ({"a": {"body": "rover_zero", "sensors": {"near": {"sensor": "nearest_agent", "groups": ["b"]}}}},
          "agents.a.sensors.near.groups: there is no group 'b'; choose a"),
         ({"a": {"body": "rover_zero",

@@ -115,6 +115,14 @@ def test_both_engines_are_timed_in_one_run(call: Call, capsys: pytest.CaptureFix
 
 
 @pytest.mark.slow
+def test_sizes_and_starts_are_measured(call: Call, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(benchmark.main, "world=flat", "actors=none", "parts=[sizes]", "scenes=2", "rounds=1") == 0
+    (line,) = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert line["process_memory_mib"] > 50 and line["scene_memory_mib"] > 0 and line["wheel_mib"] > 1
+    assert {"train", "evaluate", "doctor"} <= line["startup_s"].keys() and min(line["startup_s"].values()) > 0
+
+
+@pytest.mark.slow
 def test_two_policies_are_compared_on_the_same_episodes(
     call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

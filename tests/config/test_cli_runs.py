@@ -184,7 +184,7 @@ def test_a_device_that_is_absent_leaves_nothing_behind(
 
 def test_a_refused_run_leaves_no_folder(call: Call, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     other = "+agents.other={body: truck, controller: dwa}"
-    assert call(train.main, "+world=flat", other, "run_dir=run") == 2
+    assert call(train.main, "+world=flat", other, "run_dir=runs/run") == 2
     assert "dwa cannot act for the group other" in capsys.readouterr().err
     assert not list(folder.iterdir())
 
@@ -218,7 +218,8 @@ def test_a_sweep_gives_each_job_its_folder_and_outlives_a_failure(
          "cannot write file: a file of that name is in the way; choose another place\n"),
         (train, ["+world=flat", "run_dir=file/run"],
          "cannot write file/run: a part of the path is a file; choose another place\n"),
-        (train, ["-m", "resume=run"], "resume goes on with one run; leave -m out\n"),
+        (train, ["-m", "resume=run"],
+         "resume=FOLDER goes on with one run; write resume=auto, or leave -m out\n"),
         (train, ["--wrold"], "there is no flag --wrold; settings are written key=value (see --help)\n"),
         (evaluate, ["policy=random", "+world=flat", "out=file/rows"],
          "cannot write file/rows: file is a file; choose another place\n"),

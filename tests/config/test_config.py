@@ -379,6 +379,7 @@ def place(group: str) -> str:
     return "inspection" if group == "randomisation" else "flat"
 
 
+@pytest.mark.slow(all_but=["actors-none", "sensors-perception", "task-walking", "world-construction"])
 @pytest.mark.parametrize(("group", "option"), OPTIONS)
 def test_hydra_and_plain_objects_agree(group: str, option: str) -> None:
     if group == "learning":

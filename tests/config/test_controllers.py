@@ -102,6 +102,7 @@ def test_a_policy_of_another_body_is_refused() -> None:
     )
 
 
+@pytest.mark.slow
 def test_sensors_that_differ_in_a_setting_alone_are_named() -> None:
     adversary = POLICY.parents[2] / "actors" / "adversaries_1" / "policy.pt"
     foe = {

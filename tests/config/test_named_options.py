@@ -112,6 +112,7 @@ def test_settings_in_python_change_the_option_that_the_actors_name() -> None:
     assert task.rewards["near_miss"].weight == -2.0
 
 
+@pytest.mark.slow
 def test_a_saved_task_is_changed_where_it_is() -> None:
     saved = compose(Conf, [*LEARNING, "actors.walker.task=adversarial"]).model_dump(mode="json")
     task = compose(Conf, [WEIGHT], (), saved).groups[-1].task

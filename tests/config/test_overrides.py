@@ -145,6 +145,7 @@ def test_faults_come_together() -> None:
     ]
 
 
+@pytest.mark.slow
 def test_a_sweep_is_checked_in_every_value() -> None:
     assert check_sweep(["+world=flat,inspection", "seed=1,2"]) == ["+world=flat,inspection", "seed=1,2"]
     with pytest.raises(ConfigError) as caught:
@@ -185,6 +186,7 @@ def test_environment_settings_share_the_messages() -> None:
     ]
 
 
+@pytest.mark.slow
 def test_saved_settings_stay_unless_asked() -> None:
     saved = compose(Conf, ["+world=inspection", "actors=none", "seed=5", "learning.tau=0.1"]).model_dump(
         mode="json"

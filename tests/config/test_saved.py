@@ -28,6 +28,7 @@ EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 FLAT = build_flat(FlatConf())
 
 
+@pytest.mark.slow(all_but=["*-v2-yaml0", "seed2-pt", "forecast-yaml"])
 @pytest.mark.parametrize(
     "file",
     sorted([*EXPERIMENTS.rglob("config.yaml"), *EXPERIMENTS.rglob("policy.pt")]),

@@ -86,6 +86,7 @@ def test_what_is_set_beside_a_scenario_wins() -> None:
         compose(Conf, ["scenario=site_traffic", "actors=none", "actors.car.count=2"])
 
 
+@pytest.mark.slow
 def test_a_scenario_changes_the_settings_of_a_run() -> None:
     saved = read_checkpoint_file(RUN, "policy")["config"]
     plain = compose(EvaluateConf, ["checkpoint=run"], (), saved)
@@ -101,6 +102,7 @@ def test_scenarios_sweep() -> None:
     assert check_sweep(["scenario=crossing,farm", "seed=1,2"]) == ["+scenario=crossing,farm", "seed=1,2"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("actors", ["[walkers,cars,herd]", ["walkers", "cars", "herd"]])
 def test_lists_of_actors_compose(actors: str | list[str]) -> None:
     assert counts(compose_environment("flat", (), {"actors": actors})) == {"walker": 2, "car": 2, "herd": 8}

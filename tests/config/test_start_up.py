@@ -51,6 +51,7 @@ def test_a_misspelt_world_is_found_without_the_settings() -> None:
     assert not loaded_packages(code)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", [["nothing"], ["tests", "out=docs"]])
 def test_wrong_folders_of_a_report_are_found_without_packages_that_draw(words: list[str]) -> None:
     code = f"import sys; from dune_rl.report import main; sys.argv = {['x', *words]}; main()"

@@ -31,6 +31,7 @@ from dune_rl.commands.command_line import config_folders, parse_arguments
 from dune_rl.commands.engines import parse_settings as engines_settings
 from dune_rl.commands.pages import PAGES as PROGRAMS
 from dune_rl.commands.report import parse_words
+from dune_rl.commands.resuming import AUTO
 from dune_rl.config.commands import EvaluateConf, ForecastConf, ViewConf
 from dune_rl.config.compose import check_sweep, compose, override_value
 from dune_rl.config.schema import Conf
@@ -82,12 +83,16 @@ def compose_command(words: list[str]) -> None:
     parsed = parse_arguments(rest, sweeps=program == "dune_rl.train")
     overrides, folders = parsed.overrides, config_folders(parsed)
     saved = compose(Conf, ["+world=inspection"]).model_dump(mode="json")
-    if program == "dune_rl.train" and override_value(overrides, "resume"):
+    if program == "dune_rl.train" and override_value(overrides, "resume") not in (None, AUTO):
         compose(Conf, overrides, folders, saved)
     elif program == "dune_rl.train":
         check_sweep(overrides, folders) if parsed.multirun else compose(Conf, overrides, folders)
-    elif program == "dune_rl.evaluate" and {"resume", "verify"} & {word.partition("=")[0] for word in rest}:
-        assert {word.partition("=")[0] for word in rest} <= {"resume", "processes", "verify", "sample"}
+    elif program == "dune_rl.evaluate" and {"resume", "verify", "join"} & {
+        word.partition("=")[0] for word in rest
+    }:
+        assert {word.partition("=")[0] for word in rest} <= {
+            *("resume", "processes", "verify", "sample", "join", "out")
+        }
     elif program == "dune_rl.evaluate":
         add_world_of_set(overrides)
         compose(EvaluateConf, overrides, folders, saved if override_value(overrides, "checkpoint") else None)

@@ -57,6 +57,7 @@ def _owners(core: VectorSimulation) -> list[str]:
     return [group.name for group in core.groups for _ in range(group.count)]
 
 
+@pytest.mark.slow
 def test_actors_do_not_move_the_robots_starts() -> None:
     starts = []
     for actors in ({}, {"herd": driving("sheep", 3)}):
@@ -120,6 +121,7 @@ def test_a_full_world_cannot_be_widened() -> None:
         new_simulation("flat", 1, actors={"fleet": driving("car", 9, **everywhere)}, sensors=["goal"])
 
 
+@pytest.mark.slow
 def test_who_leaves_no_room_is_placed_anew() -> None:
     # Where the first of the three stands in the middle there is no room for the others: half of all episodes.
     close = {"task": {"spawn": {"region": [-7.0, 7.0, -7.0, 7.0], "robots_apart_m": 3.5}}}
@@ -194,6 +196,7 @@ def swooping(body: str) -> dict[str, str]:
     return {"body": body, "controller": "test_swoop"}
 
 
+@pytest.mark.slow
 def test_collisions_are_counted_by_class() -> None:
     actors = {"herd": driving("cow"), "people": {"body": "person"}}
     core = new_simulation("flat", 1, actors=actors, sensors=["goal"], metrics="navigation")

@@ -121,6 +121,7 @@ def test_groups_that_are_configured_one_by_one() -> None:
 BY_BEHAVIOUR = {"body": "rover_zero", "controller": "go_to_goal"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("agents", "agent"),
     [
@@ -221,6 +222,7 @@ def test_neighbours_are_all_moving_bodies_of_the_scene() -> None:
 # -- one scene among many, one agent among several -------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", ["team", "kinds"])
 def test_a_scene_among_many_is_the_same_as_alone(scene: str) -> None:
     alone, together = simulation(scene), simulation(scene, 3)

@@ -120,6 +120,7 @@ def test_less_voltage_is_less_torque_and_less_speed_with_the_same_slope_between(
     assert scale_motors([Motor("j", 2.0)], 0.5)[0].is_ideal
 
 
+@pytest.mark.slow(all_but=["0.4-gravel-bullet"])
 @every_backend
 @pytest.mark.parametrize("surface", [None, "gravel"])
 @pytest.mark.parametrize("factor", [0.4, 1.0])
@@ -163,6 +164,7 @@ def test_each_row_has_its_commands_as_late_as_its_delay():
     np.testing.assert_array_equal(got[2], [1, 2, 3, 4, 7, 7, 7, 5])
 
 
+@pytest.mark.slow
 @every_engine
 def test_a_rover_starts_as_many_steps_late(engine):
     def run(speed: float) -> np.ndarray:

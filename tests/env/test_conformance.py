@@ -57,6 +57,7 @@ def env(make: Make) -> Iterator[ParallelEnv]:
     made.close()
 
 
+@pytest.mark.slow
 def test_agents_of_each_setting(env: ParallelEnv, actors: str) -> None:
     walkers = ["walker_0", "walker_1"] if actors == "external_walkers" else []
     assert env.possible_agents == ["rover_0", *walkers]
@@ -116,6 +117,7 @@ def test_every_robot_on_both_engines(place: str, tmp_path: Path) -> None:
     batched.close()
 
 
+@pytest.mark.slow
 def test_time_limit_truncates(world: str, actors: str) -> None:
     check_time_limit(partial(dune_rl.parallel_env, world, actors=actors, task=BY_TIME_ALONE), 12)
 

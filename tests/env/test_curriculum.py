@@ -73,6 +73,7 @@ def test_episodes_that_began_at_another_level_do_not_count() -> None:
     assert level.state()["outcomes"] == []
 
 
+@pytest.mark.slow
 def test_goals_are_near_at_first_and_as_set_at_the_last_level() -> None:
     least = compose_environment("flat", SHORT).task.spawn.min_goal_distance_m
     easy = goal_distances(simulation(start_level=0.0), 8)

@@ -51,6 +51,7 @@ def test_golden_rollout(world: str, actors: str) -> None:
     beside.close()
 
 
+@pytest.mark.slow
 def test_golden_rollout_in_a_fresh_process() -> None:
     code = "from test_determinism import golden_of; print(golden_of('inspection', 'external_walkers'))"
     environ = os.environ | {
@@ -109,6 +110,7 @@ def test_an_episodes_start_depends_on_seed_and_id_alone() -> None:
     assert start(other, 0)["goal_w"] != one[0]["goal_w"]
 
 
+@pytest.mark.slow
 def test_a_whole_episode_does_not_depend_on_its_neighbours() -> None:
     rows = []
     actions = np.random.default_rng(4).uniform([0.2, -1], [1, 1], (80, 2)).astype(np.float32)
@@ -126,6 +128,7 @@ def test_a_whole_episode_does_not_depend_on_its_neighbours() -> None:
     assert rows[0] == rows[2]
 
 
+@pytest.mark.slow(all_but=["external"])
 @pytest.mark.parametrize(
     "settings",
     [
@@ -167,6 +170,7 @@ def test_an_actor_more_leaves_the_first_ones_where_they_were() -> None:
         assert three[episode]["walker"] == expected["walker"]
 
 
+@pytest.mark.slow
 def test_the_second_engine_repeats_itself_and_comes_back_from_a_state() -> None:
     simulation = make("inspection", physics="dart")
     rollout = Rollout(simulation)

@@ -213,6 +213,7 @@ def test_scaled_friction_is_that_of_so_much_smoother_ground() -> None:
     assert slid(0.25, 4.0) == pytest.approx(slid(1.0, 1.0), abs=1e-3)
 
 
+@pytest.mark.slow
 def test_no_world_without_room_is_entered() -> None:
     asked: list[int] = []
 

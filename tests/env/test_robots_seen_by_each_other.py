@@ -112,6 +112,7 @@ def test_scanners_that_are_mounted_low_see_all_kinds_of_robots(low: bool) -> Non
     simulation.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robots", [KINDS, TWINS], ids=["kinds", "twins"])
 def test_a_camera_shows_the_other(robots: list[str]) -> None:
     sensors = {"enabled": ["camera"], "camera": {"outputs": ["segmentation", "depth"]}}

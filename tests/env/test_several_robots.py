@@ -182,6 +182,7 @@ def test_apart_each_drives_as_if_alone(which: int, backend: Backend) -> None:
     alone.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robots", [KINDS, TWINS], ids=["kinds", "twins"])
 def test_the_first_robot_starts_where_it_starts_alone(robots: list[str]) -> None:
     one = started_simulation("inspection", 1, actors="walkers")

@@ -66,6 +66,7 @@ def test_groups_start_beside_each_other_and_beside_walkers(controller: str) -> N
         simulation.close()
 
 
+@pytest.mark.slow
 def test_those_who_come_later_find_room_beside_the_others() -> None:
     group = "{body: person, count: 10, path: {}, controller: orca, presence: {arrive_s: [0.0, 3.0]}}"
     conf = compose_environment("flat", [f"actors.walker={group}", "sensors.enabled=[goal]"])

@@ -121,6 +121,7 @@ def test_rolling_resistance_stops_a_rover_and_never_drives_it(backend):
     assert free.speed < -1.5
 
 
+@pytest.mark.slow(all_but=["sand-bullet"])
 @every_backend
 @pytest.mark.parametrize("name", ["sand", "mud", "rock"])
 def test_wheels_stand_as_deep_as_bekker_says(backend, name):
@@ -298,6 +299,7 @@ def test_natural_worlds_repeat_themselves(world, robots):
     assert rollout(sinkage=False) != rollout()
 
 
+@pytest.mark.slow
 def test_a_restored_simulation_goes_on_alike():
     simulation, other = (started_simulation({"name": "flat"} | NATURAL, num_scenes=2) for _ in range(2))
     for _ in range(15):

@@ -62,6 +62,7 @@ def test_those_who_come_together_stand_beside_each_other(body: str) -> None:
     simulation.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("controller", ["go_to_goal", "random_waypoint", "herd"])
 def test_an_episode_does_not_depend_on_the_one_before(controller: str) -> None:
     body = "sheep" if controller == "herd" else "dog"
@@ -77,6 +78,7 @@ def test_an_episode_does_not_depend_on_the_one_before(controller: str) -> None:
     fresh.close()
 
 
+@pytest.mark.slow
 @every_engine
 def test_a_second_episode_is_restored_and_equal_beside_other_scenes(engine: str) -> None:
     settings = guests("dog", 3, arrive_s=[0.0, 1.0], stay_s=[0.5, 1.0]) | {"physics": {"backend": engine}}
@@ -195,6 +197,7 @@ def test_tracks_are_of_the_time_in_the_scene() -> None:
     simulation.close()
 
 
+@pytest.mark.slow
 def test_evaluations_have_rows_of_those_who_came() -> None:
     presence = {"arrive_s": [0.2, 0.2], "stay_s": [0.3, 0.3]}
     later = {

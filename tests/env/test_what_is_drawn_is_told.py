@@ -40,6 +40,7 @@ def test_info_tells_what_was_drawn() -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_evaluation_tells_what_was_drawn_whatever_the_number_of_scenes() -> None:
     settings = {
         "randomisation": {"world_seed": [0, 3], "friction": [0.5, 0.7]},

@@ -35,6 +35,7 @@ def drive(simulation: VectorSimulation, sensors: list[Sensor], steps: int) -> li
     return found
 
 
+@pytest.mark.slow
 @every_engine
 def test_wheels_reach_the_sensors_that_read_them(engine: str) -> None:
     simulation, sensors = with_wheel_sensors(physics=engine)

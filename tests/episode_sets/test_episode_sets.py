@@ -118,15 +118,16 @@ def test_rows_come_out_of_their_recipe_again_and_start(name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
-def test_all_episodes_start(name: str) -> None:
-    """Of a set with many sites, the episodes of one site in ten: building a site takes seconds."""
+def test_all_episodes_of_some_sites_start(name: str) -> None:
+    """Of some dozen sites, spread over the set: building a site takes seconds."""
     episode_set = read_episode_set(name)
     seeds = list(dict.fromkeys(row.world_seed for row in episode_set.episodes))
-    kept = set(seeds if len(seeds) <= 50 else seeds[::10])
+    kept = set(seeds[:: max(1, len(seeds) // 12)])
     numbers = [row.episode for row in episode_set.episodes if row.world_seed in kept]
     assert faulty_episodes(episode_set, numbers) == []
 
 
+@pytest.mark.slow
 def test_planned_episodes_are_the_same_in_any_number_of_scenes() -> None:
     episode_set = read_episode_set("island-v1")
     conf = settings_on_set(compose_environment("flat"), episode_set)

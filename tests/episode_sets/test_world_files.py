@@ -78,6 +78,7 @@ def test_worlds_of_other_extents_share_the_bounds_of_observations(folder: Path) 
     simulation.close()
 
 
+@pytest.mark.slow
 def test_a_changed_file_is_refused(folder: Path) -> None:
     make("world.path=worlds/*.world", *ENDS)
     evaluated = ["set=episode_sets/barn.json", "policy=go_to_goal", "episodes=1"]
@@ -121,6 +122,7 @@ def test_words_that_make_no_set(words: str, message: str, folder: Path) -> None:
     assert not (folder / "episode_sets").exists()
 
 
+@pytest.mark.slow
 def test_a_file_without_room_at_the_start_is_named(folder: Path) -> None:
     block = model("block", "<box><size>1 1 1</size></box>", "-2 3 0.5 0 0 0")
     file = folder / "worlds" / "world_2.world"

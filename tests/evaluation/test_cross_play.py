@@ -119,6 +119,7 @@ def test_every_policy_meets_every_population(run: Path, tmp_path: Path) -> None:
         begin_cross_play(conf, populations, out, overwrite=False)
 
 
+@pytest.mark.slow
 def test_actors_of_a_run_act_by_its_policy_in_its_bodies(run: Path) -> None:
     (population,) = find_populations(settings(f"populations=[{run}]"))
     conf = settings_among(settings("populations=[none]"), population, run / "out")
@@ -146,6 +147,7 @@ def test_actors_of_a_run_are_as_in_the_run_and_act_by_its_last_policy(tmp_path: 
     assert population.sha256 == sha256_of(source / "policy_last.pt")
 
 
+@pytest.mark.slow
 def test_populations_without_room_are_told_before_anything_is_made(tmp_path: Path) -> None:
     words = ["+world=construction", "policy=go_to_goal", "cross_play=true", "scenes=1"]
     conf = compose(EvaluateConf, [*words, "populations=[none,trucks,tractor]"])
@@ -156,6 +158,7 @@ def test_populations_without_room_are_told_before_anything_is_made(tmp_path: Pat
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_an_interruption_says_once_how_to_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def cut(self: BlockRunner, block: EpisodeBlock, emit: Callable[..., None]) -> None:
         raise KeyboardInterrupt
@@ -171,6 +174,7 @@ def test_an_interruption_says_once_how_to_go_on(tmp_path: Path, monkeypatch: pyt
     ]
 
 
+@pytest.mark.slow
 def test_a_folder_of_another_cross_play_is_kept(tmp_path: Path) -> None:
     out = tmp_path / "matrix"
     first, second = (settings(f"populations=[{name}]", "against=[]") for name in ("none", "walkers"))
@@ -216,6 +220,7 @@ def test_a_record_that_leads_out_of_its_folder_is_refused(tmp_path: Path) -> Non
         run_cross_play(tmp_path, Console(quiet=True))
 
 
+@pytest.mark.slow
 def test_what_is_no_population_is_named(run: Path, tmp_path: Path) -> None:
     published = Path(__file__).parents[2] / "experiments" / "flat" / "seed1" / "policy.pt"
     words = f"populations=[walkrs,my_people,runs/lost,learning_walkers,{published}]"

@@ -25,6 +25,7 @@ def read(path: Path) -> list[dict[str, str]]:
     return list(csv.DictReader(path.read_text().splitlines()))
 
 
+@pytest.mark.slow
 def test_a_run_has_its_steps_and_a_cut_episode(call: Call, folder: Path) -> None:
     words = [*PAPER, "policy=go_to_goal", "runs=2", "run_steps=150", "scenes=2", "steps=true"]
     assert call(evaluate.main, *words, "out=one") == 0
@@ -170,6 +171,7 @@ def test_totals_and_means_of_a_run() -> None:
 # -- refusals --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(all_but=["words7-protocol"])
 @pytest.mark.parametrize(
     ("words", "said"),
     [

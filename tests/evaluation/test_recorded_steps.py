@@ -54,6 +54,7 @@ def test_rows_of_episodes_have_the_way_to_the_goal(call: Call, folder: Path) -> 
     }
 
 
+@pytest.mark.slow
 def test_each_nth_step_and_the_last_are_those_of_all_steps(call: Call, folder: Path) -> None:
     for name, steps in (("all", "true"), ("some", "5")):
         words = [word for word in WORDS if not word.startswith("out=")]

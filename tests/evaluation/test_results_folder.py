@@ -13,6 +13,7 @@ from pathlib import Path
 import pyarrow.parquet
 import pytest
 import yaml
+from ray_nodes import kill_node, ray_nodes
 
 from dune_rl import evaluate
 from dune_rl.evaluation import run_plan
@@ -58,6 +59,7 @@ def test_what_limits_results_is_said_beside_them(
     assert "note: seed1 was trained with physics.action_repeat=1, and decides here with 2" in told.err
 
 
+@pytest.mark.slow
 def test_a_folder_holds_all_about_its_results(
     call: Call, folder: Path, short_set: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -132,6 +134,7 @@ def test_results_are_never_replaced_unasked(
     assert "results is complete; there is nothing to resume" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_an_evaluation_that_was_cut_off_goes_on(
     call: Call,
     folder: Path,
@@ -232,6 +235,56 @@ def test_rows_do_not_depend_on_processes(call: Call, folder: Path, short_set: st
     assert call(evaluate.main, *words, "out=one") == 0
     assert call(evaluate.main, *words, "processes=2", "out=two") == 0
     assert (folder / "one" / "episodes.csv").read_bytes() == (folder / "two" / "episodes.csv").read_bytes()
+
+
+@pytest.mark.slow
+def test_parts_are_joined_to_the_whole(
+    call: Call, folder: Path, short_set: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [f"checkpoint={POLICY}", "against=random", short_set, "scenes=2", "steps=true"]
+    assert call(evaluate.main, *words, "out=whole") == 0
+    for number in (1, 3):
+        assert call(evaluate.main, *words, f"part={number}/3", f"out=parts/{number}") == 0
+    assert [row["episode"] for row in read_rows(folder / "parts" / "3")] == ["4", "4"]
+    capsys.readouterr()
+    assert call(evaluate.main, "join=parts", "out=joined") == 2
+    assert "episode 2 is in none of the parts 1/3, 3/3" in capsys.readouterr().err
+    assert call(evaluate.main, *words, "part=2/3", "out=parts/2", "processes=2") == 0
+    rows = folder / "parts" / "2" / "episodes.part.jsonl"
+    whole = rows.read_text()
+    rows.write_text(whole[: len(whole) // 2])
+    assert call(evaluate.main, "join=parts", "out=joined") == 2
+    assert "parts/2 is not complete; go on with resume=parts/2" in capsys.readouterr().err
+    assert call(evaluate.main, "resume=parts/2") == 0
+    assert call(evaluate.main, "join=parts", "out=joined") == 0
+    for name in ("episodes.csv", "steps.csv", "summary.csv", "comparison.csv"):
+        assert (folder / "joined" / name).read_bytes() == (folder / "whole" / name).read_bytes()
+    assert json.loads((folder / "joined" / "provenance.json").read_text())["parts"].keys() == {
+        "1/3", "2/3", "3/3"
+    }  # fmt: skip
+    assert call(evaluate.main, "join=whole", "out=other") == 2
+    assert "join=whole holds no parts" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_rows_do_not_depend_on_a_ray_cluster_whose_node_dies(
+    call: Call, folder: Path, short_set: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = [f"checkpoint={POLICY}", "against=random", short_set, "scenes=2", "steps=true"]
+    assert call(evaluate.main, *words, "out=one") == 0
+    add = ResultsFolder.add
+    with ray_nodes(monkeypatch, 2) as nodes:
+
+        def add_and_kill(self: ResultsFolder, episode: FinishedEpisode) -> None:
+            add(self, episode)
+            if len(nodes) > 1:
+                kill_node(nodes.pop())
+
+        monkeypatch.setattr(ResultsFolder, "add", add_and_kill)
+        assert call(evaluate.main, *words, "processes=ray", "out=two") == 0
+    assert len(nodes) == 1
+    for name in ("episodes.csv", "steps.csv"):
+        assert (folder / "one" / name).read_bytes() == (folder / "two" / name).read_bytes()
 
 
 @pytest.mark.slow

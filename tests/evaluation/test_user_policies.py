@@ -10,7 +10,10 @@ import pytest
 from dune_rl import evaluate
 from dune_rl.config.commands import EvaluateConf
 from dune_rl.config.compose import compose
+from dune_rl.core.errors import ConfigError
 from dune_rl.evaluation.policies import policy_sources
+from dune_rl.evaluation.provenance import check_same_sources
+from dune_rl.evaluation.running import EvaluationPlan
 
 Call = Callable[..., int]
 WORDS = ("+world=flat", "actors=none", "episodes=2", "task.terminations.time_limit.max_steps=15")
@@ -72,6 +75,16 @@ def test_a_function_and_a_class_drive(call: Call, folder: Path, module: str) -> 
     assert [(row["first"], row["second"]) for row in pairs if row["measure"] == "SR"] == [
         *(("straight", "Straight"), ("straight", "go_to_goal"), ("Straight", "go_to_goal")),
     ]
+
+
+def test_a_folder_alone_runs_no_code(folder: Path, module: str) -> None:
+    name = f"{module}:straight"
+    plan = EvaluationPlan.of_settings(compose(EvaluateConf, ["+world=flat", f"policy={name}", "episodes=2"]))
+    provenance = {"policies": [plan.sources[0].plain()]}
+    for trusted in ((), ("other:straight",)):
+        with pytest.raises(ConfigError, match=f"results of {name}, whose code .*\n.* add policy={name}"):
+            check_same_sources(plan, provenance, folder, trusted)
+    check_same_sources(plan, provenance, folder, [name])
 
 
 @pytest.mark.slow(all_but=["*missing*", "*short*", "*misspelt*"])

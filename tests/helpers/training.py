@@ -45,6 +45,16 @@ SMALL_PPO = PpoConf(
 )
 
 
+class Notes(Reporter):
+    """Keeps the lines that are said once."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def note(self, line: str) -> None:
+        self.lines.append(line)
+
+
 def small(**changes: Any) -> SacConf:
     """`SMALL` with other values; `mode` and `storage` are the collector's and the replay buffer's."""
     if "mode" in changes:

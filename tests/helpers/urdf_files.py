@@ -1,9 +1,7 @@
 """URDFs to try: a differential platform of a package, with casters, frames without mass and meshes."""
 
-import re
 from pathlib import Path
 
-import numpy as np
 import trimesh
 
 CART = """<?xml version="1.0"?>
@@ -79,19 +77,3 @@ WORDS = (
     "1 2",
     "0 0 0",
 )
-
-
-def damaged(text: str, rng: np.random.Generator) -> str:
-    """The same URDF with one or two values changed, or elements left out or said twice; still XML."""
-    for _ in range(int(rng.integers(1, 3))):
-        way = int(rng.integers(5))
-        found = list(re.finditer(r'(?<==)"([^"]*)"' if way < 3 else r"<[a-z]+ [^<>]*/>", text))
-        where = found[int(rng.integers(len(found)))]
-        if way == 0:
-            new = f'"{WORDS[int(rng.integers(len(WORDS)))]}"'
-        elif way < 3:
-            new = found[int(rng.integers(len(found)))][0]
-        else:
-            new = where[0] * 2 if way == 3 else ""
-        text = text[: where.start()] + new + text[where.end() :]
-    return text

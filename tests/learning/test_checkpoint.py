@@ -2,6 +2,7 @@
 
 import os
 import pickle
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -127,6 +128,26 @@ def test_nothing_in_a_file_is_executed(tmp_path: Path, monkeypatch: pytest.Monke
     with pytest.raises(CheckpointError):
         read_checkpoint_file(tmp_path / "policy.pt", "policy")
     assert not (tmp_path / "exploded").exists()
+
+
+@pytest.mark.parametrize("missing", ["version", "kind", "groups", "config"])
+def test_what_a_file_lacks_is_no_traceback(saved: Path, missing: str) -> None:
+    content = torch.load(saved, weights_only=True)
+    del content[missing]
+    torch.save(content, saved)
+    with pytest.raises(CheckpointError) as caught:
+        load_policy(saved, make_point_mass(1, 0))
+    assert len(str(caught.value).splitlines()) <= 2
+
+
+def test_an_archive_that_would_fill_the_memory_is_refused(saved: Path) -> None:
+    with zipfile.ZipFile(saved) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(saved, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, body in members.items():
+            archive.writestr(name, body)
+    with pytest.raises(CheckpointError, match="its contents are compressed"):
+        read_checkpoint_file(saved, "policy")
 
 
 def test_not_ours(tmp_path: Path) -> None:

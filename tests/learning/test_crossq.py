@@ -25,6 +25,7 @@ SMALL_CROSSQ = CrossqConf(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("terminated", [True, False])
 def test_time_limits_bootstrap_and_terminations_do_not(tmp_path: Path, terminated: bool) -> None:
     torch.manual_seed(0)

@@ -43,6 +43,7 @@ def learner(folder: Path, **changes: object) -> DiscreteSac:
     return DiscreteSac(make_context(SPEC, folder), conf)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("terminated", [True, False])
 def test_time_limits_bootstrap_and_terminations_do_not(tmp_path: Path, terminated: bool) -> None:
     torch.manual_seed(0)
@@ -290,6 +291,7 @@ def test_a_divergence_is_from_a_policy_that_is_named(tmp_path: Path) -> None:
         learner(tmp_path, target_divergence=0.5)
 
 
+@pytest.mark.slow
 def test_two_halves_of_a_run_are_the_whole(tmp_path: Path) -> None:
     # The policy begins to learn in the second half.
     updates = round(0.0625 * (250 - 64))

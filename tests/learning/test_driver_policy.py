@@ -30,6 +30,7 @@ def test_the_number_of_scenes_changes_no_row(name: str) -> None:
     assert alone == [pytest.approx(row, rel=0.0, abs=0.0, nan_ok=True) for row in beside]
 
 
+@pytest.mark.slow(all_but=["dwa_oracle"])
 @pytest.mark.parametrize("name", DRIVERS)
 def test_joints_are_refused(name: str) -> None:
     conf = compose_environment("flat", ["robot=hyperdog", "robot.action=joints"])
@@ -39,6 +40,7 @@ def test_joints_are_refused(name: str) -> None:
     env.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("headings", [15, 9])
 def test_dwa_takes_the_cheapest_of_the_sensors_commands(headings: int) -> None:
     commands = f"+sensors.command_costs={{commands: {{headings: {headings}}}}}"
@@ -72,6 +74,7 @@ def test_mppi_without_a_lidar_is_refused_and_the_planner_needs_none() -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_a_controlled_group_with_mppi_observes_by_itself() -> None:
     agents = {"idle": {"body": "leo_rover"}, "other": {"body": "rover_zero", "controller": "mppi"}}
     simulation = make_simulation(compose_environment("flat", (), {"agents": agents}), 1, 0)

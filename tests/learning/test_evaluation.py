@@ -40,6 +40,7 @@ def episodes(policy, scenes: int, count: int, seed: int = 5, **more):
     return evaluate(policy, make_point_mass(scenes, 0), count, seed, **more)["rover"]
 
 
+@pytest.mark.slow
 def test_every_episode_once_whatever_the_batch() -> None:
     torch.manual_seed(1)
     for policy in (GO_TO_GOAL, Deterministic(network())):

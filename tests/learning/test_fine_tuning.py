@@ -7,14 +7,16 @@ import torch
 from point_mass import make_point_mass, make_two_groups
 from training import small, trainer, weights
 
-from dune_rl.commands import train
+from dune_rl.commands.resuming import find_named_run
 from dune_rl.config.compose import compose
 from dune_rl.config.schema import Conf
 from dune_rl.core.errors import CheckpointError, ConfigError, DuneWarning
+from dune_rl.core.files import sha256_of
 from dune_rl.learning.checkpoint import (
     BEST_POLICY_FILE,
     CHECKPOINT_FILE,
     LAST_POLICY_FILE,
+    read_policy_file,
     write_checkpoint_file,
 )
 from dune_rl.learning.learners import start_learners
@@ -80,9 +82,11 @@ def test_it_learns_on_and_is_resumed_without_its_source(source: Path, tmp_path: 
     assert made._warmup.describe(0) is None
     first = made.train(256)
     assert first.frames == 256 and first.updates > 0
+    began = {"rover": {"file": str(copy / CHECKPOINT_FILE), "sha256": sha256_of(source / CHECKPOINT_FILE)}}
     (copy / CHECKPOINT_FILE).unlink()
     second = trainer(run, learning, total_frames=384, resume=run).train()
     assert second.frames == 384 and second.updates > first.updates
+    assert read_policy_file(run)[1]["started_from"] == began
 
 
 def test_what_does_not_fit_is_named_with_its_setting(source: Path, tmp_path: Path) -> None:
@@ -140,25 +144,22 @@ def test_a_frozen_group_starts_from_nothing(source: Path, tmp_path: Path) -> Non
     made._folder.release()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "word", ["learning.start_from=runs/a", "learning.groups={rover: {start_from: runs/a}}"]
 )
-def test_a_resumed_run_starts_from_nothing_else(
-    word: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_resumed_run_starts_from_nothing_else(word: str, tmp_path: Path) -> None:
     conf = compose(Conf, ["+world=flat", "actors=none", "learning.start_from=runs/b"])
     counters = {"frames": 5, "evaluated_at": 5}
     content = {"groups": {}, "config": conf.model_dump(mode="json"), "counters": counters}
     write_checkpoint_file(tmp_path / CHECKPOINT_FILE, "checkpoint", content)
-    resumed = []
-    monkeypatch.setattr(train, "train", lambda conf, resume: resumed.append(conf))
     with pytest.raises(ConfigError, match=r"start_from=runs/a: a resumed run goes on with its own weights"):
-        train._resume(str(tmp_path), [word], ())
-    train._resume(str(tmp_path), ["total_frames=7"], ())
-    assert [one.total_frames for one in resumed] == [7]
-    assert resumed[0].learning.start_from == "runs/b"
+        find_named_run(str(tmp_path), [word], ())
+    resumed = find_named_run(str(tmp_path), ["total_frames=7"], ()).conf
+    assert resumed.total_frames == 7
+    assert resumed.learning.start_from == "runs/b"
     # Nothing would be trained.
     with pytest.raises(
         ConfigError, match=r"finished run of 5 frames, and total_frames is 5: .*total_frames=10"
     ):
-        train._resume(str(tmp_path), ["total_frames=5"], ())
+        find_named_run(str(tmp_path), ["total_frames=5"], ())

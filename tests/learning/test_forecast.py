@@ -108,6 +108,7 @@ def test_robots_that_rest_are_left_out() -> None:
     assert set(recorder.samples().episodes.tolist()) == {0}
 
 
+@pytest.mark.slow
 def test_agents_that_leave_are_not_followed_away() -> None:
     conf = environment_conf(
         "flat",
@@ -138,6 +139,7 @@ def made_up(count: int, seed: int) -> TrackSamples:
     return TrackSamples(features, agents, agents.copy(), told, np.zeros(count, np.int64))
 
 
+@pytest.mark.slow
 def test_a_fit_learns_what_constant_velocity_does_not_know() -> None:
     weights = fit_forecast(made_up(2_000, 0), 400, 128, 0)
     unseen = made_up(500, 1)

@@ -156,6 +156,7 @@ def test_a_policy_serves_a_group_of_another_name_or_size(tmp_path: Path) -> None
     assert load_policy(tmp_path / "run", env)[0](env.reset())["pack", "action"].shape == (2, 5, 2)
 
 
+@pytest.mark.slow
 def test_a_missing_group_is_named(two_groups) -> None:
     run, _ = two_groups
     spec = PolicySpec.of(make_team(1, 0), "rover")

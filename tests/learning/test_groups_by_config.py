@@ -39,6 +39,7 @@ def test_each_group_has_settings_of_its_own(source: Path) -> None:
     assert (4, 4) in sizes["walker"] and (4, 4) not in sizes["rover"]
 
 
+@pytest.mark.slow
 def test_a_frozen_group_acts_by_its_policy_and_does_not_learn(source: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
     learning = SHORT.model_copy(update={"groups": {"walker": {"frozen": str(source)}}})

@@ -46,6 +46,7 @@ def test_a_grid_has_every_speed_with_every_heading_and_both_stand_still_and_stra
         command_grid(PolicySpec({"goal": 2}, (0.0,) * 3, (1.0,) * 3), SMALL)
 
 
+@pytest.mark.slow
 def test_the_planner_drives_by_the_command_that_it_scores_cheapest() -> None:
     env = make_env()
     env.reset()
@@ -73,6 +74,7 @@ def labelled(share: float, noise: float = 0.0, change_cost: float = 0.0, standin
     return env.append_transform(labels), commands
 
 
+@pytest.mark.slow
 def test_labels_are_of_the_state_before_a_step_and_the_teacher_drives_in_its_share() -> None:
     env, commands = labelled(1.0)
     still = torch.zeros(4, 1, 2)
@@ -111,6 +113,7 @@ def test_changes_of_the_command_cost_what_they_are_told_to() -> None:
     assert found[0.5][known].numpy() == pytest.approx(wanted[known].numpy(), abs=1e-4)
 
 
+@pytest.mark.slow
 def test_commands_of_no_speed_cost_what_they_are_told_to() -> None:
     found = {}
     for standing_cost in (0.0, 0.5):
@@ -226,6 +229,7 @@ def test_a_run_saves_and_goes_on(tmp_path: Path) -> None:
     assert Trainer(make_env, tmp_path / "b", further, seed=1, total_frames=64).train().frames == 64
 
 
+@pytest.mark.slow
 def test_what_cannot_teach_is_refused_before_training(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"no behaviour 'planer'.* planner"):
         ImitationConf(teacher="planer")

@@ -34,6 +34,7 @@ def success_rates(folder: Path, make_env: MakeEnv, frames: int) -> list[dict[str
     return rates
 
 
+@pytest.mark.slow
 def test_learns_to_reach_the_goal(tmp_path: Path) -> None:
     rates = success_rates(tmp_path, make_point_mass, 2048)
     assert statistics.median(rate["rover"] for rate in rates) > 0.8

@@ -1,5 +1,6 @@
 """A run's folder: two runs at once, and a disk that is full."""
 
+import errno
 import os
 import resource
 import signal
@@ -10,11 +11,15 @@ from pathlib import Path
 
 import pytest
 import torch
-from training import trainer
+from tensorboard.summary.writer.record_writer import RecordWriter
+from training import small, trainer
 
 from dune_rl.core.errors import CheckpointError
 from dune_rl.learning.checkpoint import read_checkpoint_file, write_checkpoint_file
+from dune_rl.learning.run.folder import RunFolder
 from dune_rl.learning.run.locks import RunLock, check_unused
+from dune_rl.learning.run.progress import Reporter, TrainingStatus
+from dune_rl.learning.settings import CheckpointConf
 
 HOLD = """
 import sys, time
@@ -66,9 +71,19 @@ def test_a_killed_run_leaves_no_lock_behind(tmp_path: Path) -> None:
     RunLock(tmp_path).release()
 
 
+@pytest.mark.parametrize("name", ["replay-rover-64.npy", "config.yaml", "checkpoint.pt", "curve.png"])
+def test_what_a_killed_save_left_goes(tmp_path: Path, name: str) -> None:
+    left, theirs = tmp_path / f".{name}.x1.tmp", tmp_path / ".notes.x1.tmp"
+    for file in (left, theirs):
+        file.write_bytes(b"half")
+    folder = RunFolder(tmp_path, {}, fresh=False)
+    assert not left.exists() and theirs.exists()
+    folder.release()
+
+
 def test_where_nothing_more_can_be_written_the_last_save_is_intact(tmp_path: Path) -> None:
     path = tmp_path / "checkpoint.pt"
-    write_checkpoint_file(path, "checkpoint", {"value": 1})
+    write_checkpoint_file(path, "checkpoint", {"groups": {}, "config": {}, "value": 1})
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, before[1]))
     try:
@@ -78,6 +93,29 @@ def test_where_nothing_more_can_be_written_the_last_save_is_intact(tmp_path: Pat
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert read_checkpoint_file(path, "checkpoint")["value"] == 1
     assert [file.name for file in tmp_path.iterdir()] == ["checkpoint.pt"]
+
+
+# TensorBoard's own thread dies of it.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_run_whose_log_fills_the_disk_ends_with_its_last_save(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(_writer: RecordWriter, _data: bytes) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    class Filling(Reporter):
+        """Has the disk full after 256 frames."""
+
+        def update(self, status: TrainingStatus) -> None:
+            if status.frames >= 256:
+                monkeypatch.setattr(RecordWriter, "write", full)
+
+    conf = small(checkpoint=CheckpointConf(every_frames=128))
+    run = trainer(tmp_path / "run", conf, reporter=Filling())
+    with pytest.raises(CheckpointError, match=r"No space left.*\n.*The last save is whole; go on .*resume="):
+        run.train()
+    monkeypatch.undo()
+    assert trainer(tmp_path / "run", conf, resume=tmp_path / "run").frames >= 256
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")

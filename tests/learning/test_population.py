@@ -97,6 +97,7 @@ def test_who_acts_stays_the_same_for_an_episode_and_depends_on_it_alone(populati
     assert len(set(episode.flatten().tolist())) >= 16
 
 
+@pytest.mark.slow
 def test_nothing_is_learned_of_what_a_snapshot_did(population) -> None:
     batch = collect(population, batches=1)[0]
     for group in ("rover", "walker"):

@@ -44,6 +44,7 @@ def one_step_episodes(*, terminated: bool, scenes: int = 32, steps: int = 4) -> 
     return TensorDict({**now, "next": TensorDict(after, shape)}, shape)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("terminated", [True, False])
 def test_time_limits_bootstrap_and_terminations_do_not(tmp_path: Path, terminated: bool) -> None:
     torch.manual_seed(0)
@@ -86,6 +87,7 @@ def test_the_first_pass_finds_the_probabilities_that_the_batch_was_collected_wit
     assert abs(ppo.update()["ppo/kl"]) > 1e-5
 
 
+@pytest.mark.slow
 def test_nothing_is_learned_from_agents_that_idle(tmp_path: Path) -> None:
     spec = PolicySpec.of(make_team(1, 0), "rover")
     results = []
@@ -105,6 +107,7 @@ def test_nothing_is_learned_from_agents_that_idle(tmp_path: Path) -> None:
     assert all(torch.equal(value, results[1][1][key]) for key, value in results[0][1].items())
 
 
+@pytest.mark.slow
 def test_halves_make_a_whole(tmp_path: Path) -> None:
     assert_halves_make_a_whole(make_team, tmp_path, SMALL_PPO, frames=640, half=300)
 

@@ -60,6 +60,7 @@ def test_values_depend_on_privileged_parts_and_actions_do_not(tmp_path: Path) ->
     assert torch.equal(*actions)
 
 
+@pytest.mark.slow
 def test_a_sensor_is_privileged_by_its_setting() -> None:
     conf = compose_environment("flat", ["+sensors.height_scan.privileged=true", "actors=none"])
     env = make_torchrl_env(conf, 1, 0)

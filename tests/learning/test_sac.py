@@ -43,6 +43,7 @@ def _one_step_episodes(spec: PolicySpec, *, terminated: bool, count: int = 64) -
     return TensorDict({**now, "next": TensorDict(after, shape)}, shape)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("terminated", [True, False])
 def test_time_limits_bootstrap_and_terminations_do_not(tmp_path: Path, terminated: bool) -> None:
     torch.manual_seed(0)

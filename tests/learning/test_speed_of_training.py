@@ -12,6 +12,7 @@ from dune_rl.learning.settings import CollectorConf
 CONF = compose(BenchmarkConf, ["+world=flat", "actors=none", "sensors=[goal,velocity]", "rounds=2"])
 
 
+@pytest.mark.slow
 def test_an_update_and_the_speed_of_training_are_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     small = SacConf(
         learning_starts=0,

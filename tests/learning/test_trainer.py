@@ -17,9 +17,10 @@ from dune_rl.learning.group_policy import GroupPolicy
 from dune_rl.learning.networks.policy import Architecture, make_policy_network
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.run.progress import Reporter, SpeedMeter, TrainingStatus
-from dune_rl.learning.settings import CollectorConf
+from dune_rl.learning.settings import CollectorConf, EvaluationConf
 
 
+@pytest.mark.slow
 def test_halves_make_a_whole(tmp_path: Path) -> None:
     assert_halves_make_a_whole(make_point_mass, tmp_path)
 
@@ -34,6 +35,7 @@ def test_another_seed_gives_other_weights(tmp_path: Path) -> None:
     assert not all(torch.equal(a[key], c[key]) for key in a)
 
 
+@pytest.mark.slow
 def test_a_run_stopped_during_its_warm_up_goes_on_as_if_it_had_not_been(tmp_path: Path) -> None:
     guided = small(warm_up="go_to_goal")
     trainer(tmp_path / "whole", guided).train(stop_after_frames=768)
@@ -42,6 +44,27 @@ def test_a_run_stopped_during_its_warm_up_goes_on_as_if_it_had_not_been(tmp_path
     trainer(tmp_path / "halves", guided, resume=tmp_path / "halves").train(768)
     whole, halves = weights(tmp_path / "whole"), weights(tmp_path / "halves")
     assert not [key for key, value in whole.items() if not value.equal(halves[key])]
+
+
+class StoppingAmidAnEvaluation(Reporter):
+    """Ends the run in order at the first episodes of its first evaluation."""
+
+    def update(self, status: TrainingStatus) -> None:
+        if status.activity.startswith("evaluating 0/"):
+            signal.raise_signal(signal.SIGTERM)
+
+
+@pytest.mark.slow
+def test_an_evaluation_that_a_signal_cut_off_is_made_when_the_run_goes_on(tmp_path: Path) -> None:
+    conf = small(learning_starts=128, evaluation=EvaluationConf(every_frames=256, episodes=2))
+    trainer(tmp_path / "whole", conf, total_frames=512).train()
+    stopped = trainer(
+        tmp_path / "halves", conf, total_frames=512, reporter=StoppingAmidAnEvaluation()
+    ).train()
+    assert stopped.signal == signal.SIGTERM and not stopped.evaluation
+    trainer(tmp_path / "halves", conf, total_frames=512, resume=tmp_path / "halves").train()
+    files = [(tmp_path / name / "metrics.csv").read_bytes() for name in ("whole", "halves")]
+    assert files[0] == files[1]
 
 
 @pytest.mark.slow

@@ -70,11 +70,12 @@ def test_random_actions_fill_the_bounds(specs) -> None:
 
 
 @pytest.mark.slow
-def test_halves_of_a_run_with_warm_ups_of_several_lengths_make_a_whole(tmp_path: Path) -> None:
+@pytest.mark.parametrize("half", [384, 512], ids=["within a warm-up", "between warm-up and learning"])
+def test_halves_of_a_run_with_warm_ups_of_several_lengths_make_a_whole(half: int, tmp_path: Path) -> None:
     learning = small(
         hidden=(8,),
         learning_starts=512,
         warm_up="go_to_goal",
         groups={"walker": {"learning_starts": 256, "warm_up": "random"}},
     )
-    assert_halves_make_a_whole(make_two_groups, tmp_path, learning, frames=1024, half=384)
+    assert_halves_make_a_whole(make_two_groups, tmp_path, learning, frames=1024, half=half)

@@ -93,6 +93,7 @@ def same(values: Any, others: Any) -> bool:
     return bool(np.allclose(np.array(values, float), np.array(others, float), rtol=1e-6, equal_nan=True))
 
 
+@pytest.mark.slow
 def test_equal_numbers_everywhere(
     call: Callable[..., int], folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -50,6 +50,7 @@ def test_each_scene_gets_its_own_mesh(client: int, cells: int) -> None:
         pybullet.disconnect(number)
 
 
+@pytest.mark.slow
 def test_a_small_mesh_between_two_scenes_leaves_the_large_one(client: int) -> None:
     large = ground(120, 1.0)
     second = pybullet.connect(pybullet.DIRECT)

@@ -49,6 +49,7 @@ def graze(backend: Backend, folder, count: int, start_m: float) -> list[set[int]
     return seen
 
 
+@pytest.mark.slow
 @every_backend
 def test_a_touch_between_two_control_steps_is_reported(backend, tmp_path):
     found = 0

@@ -42,6 +42,7 @@ def test_a_long_wall_takes_points_along_its_length_alone() -> None:
     assert len(points) < 12 * 2049 * 17
 
 
+@pytest.mark.slow
 def test_batches_of_large_triangles_are_bounded() -> None:
     triangles = np.repeat(np.array([[[0.0, 0.0], [80.0, 0.0], [0.0, 80.0]]]), 3, axis=0)
     points, largest = sampled(triangles, 0.1)

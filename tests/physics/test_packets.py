@@ -152,6 +152,7 @@ def test_arrays_of_any_layout_are_read_and_left_as_they_are():
     )
 
 
+@pytest.mark.slow
 def test_vertices_and_faces_are_copied():
     vertices = np.array([[2.0, -1.0, -1.0], [2.0, 1.0, -1.0], [2.0, 0.0, 1.0]])
     faces = np.array([[0, 1, 2]])

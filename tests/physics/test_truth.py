@@ -258,6 +258,7 @@ def test_a_ball_in_a_groove_lies_at_the_height_that_geometry_says(backend, tmp_p
     assert stage.position[0] == pytest.approx(0.0, abs=2e-3)
 
 
+@pytest.mark.slow
 @every_engine
 def test_an_inertial_unit_at_rest_feels_gravity(engine):
     simulation = started_simulation("flat", 2, physics=engine)

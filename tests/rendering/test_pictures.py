@@ -87,6 +87,7 @@ def test_a_picture_painted_in_parts_is_the_same(monkeypatch):
     assert one.render(ASLANT, *SIZE, bodies).tobytes() == whole.tobytes()
 
 
+@pytest.mark.slow(all_but=["False-2.6"])
 @pytest.mark.parametrize("bearing", [0.0, 1.2, 2.6, -2.0])
 @pytest.mark.parametrize("moves", [False, True])
 def test_a_shadow_falls_on_the_side_away_from_the_sun(bearing, moves):

@@ -285,6 +285,7 @@ def test_settings_saved_before_there_was_weather_have_none():
     assert compose(EvaluateConf, ["checkpoint=x", "weather=fog"], (), saved).weather.fog_visibility_m == 50.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("word", "message"),
     [

@@ -208,6 +208,7 @@ def test_robots_are_commanded_independently(tmp_path):
             np.testing.assert_allclose(together[row], single[0], atol=1e-12)
 
 
+@pytest.mark.slow
 @every_backend
 @pytest.mark.parametrize("six_wheels", [False, True])
 def test_it_drives_straight_and_on_circles_of_the_radius_that_follows(backend, six_wheels, tmp_path):
@@ -297,6 +298,7 @@ def test_a_rocker_bogie_climbs_a_step_with_one_side_and_stays_nearly_level(backe
     np.testing.assert_allclose(rockers.sum(axis=1), 0.0, atol=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ["bullet", "dart"])
 def test_it_drives_to_its_goal_with_sensors_of_wheels_and_all_that_is_randomised(engine, tmp_path):
     path = write_car(tmp_path)

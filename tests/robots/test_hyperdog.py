@@ -264,6 +264,7 @@ def test_pushed_over_it_is_up_again_or_its_episode_ends(engine):
     assert longest * STEP_S <= 2.0
 
 
+@pytest.mark.slow
 def test_instruments_on_joints_read_twelve_and_odometry_is_refused():
     conf = _conf("sensors=[imu,encoders,currents]")
     simulation = make_simulation(conf, 1, 0)

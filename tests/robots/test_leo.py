@@ -88,6 +88,7 @@ def test_it_drives_straight_at_the_speed_told(backend, speed):
     assert abs(way[0] * -ahead[1] + way[1] * ahead[0]) < 0.03
 
 
+@pytest.mark.slow(all_but=["1.0471975511965976-0.4-bullet"])
 @every_backend
 @pytest.mark.parametrize("yaw", [0.0, 0.4, np.pi / 4])
 @pytest.mark.parametrize("rate", [0.3, np.deg2rad(60.0)])
@@ -104,6 +105,7 @@ def test_it_turns_on_the_spot_as_fast_as_told(backend, yaw, rate):
     assert np.linalg.norm(drive.stage.position[:2]) < allowed(backend, 0.25, 0.3)
 
 
+@pytest.mark.slow
 @every_backend
 @pytest.mark.parametrize("seed", [0, 1])
 def test_over_stones_the_rockers_turn_opposite_and_all_wheels_stay_on_the_ground(backend, seed):

@@ -170,6 +170,7 @@ def test_a_walker_at_a_tyre_is_a_contact_and_one_beside_it_is_none(backend, case
         assert seen == ({1} if met else set())
 
 
+@pytest.mark.slow
 @every_backend
 @pytest.mark.parametrize("friction", [0.3, 0.6])
 def test_on_an_obstacle_it_holds_by_the_friction_of_its_tyres(backend, friction):

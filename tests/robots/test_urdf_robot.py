@@ -1,8 +1,6 @@
 """Robots from URDFs: what is derived, that they drive, and words for what is wrong."""
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -305,63 +303,3 @@ def test_the_check_takes_settings_as_command_lines_do(tmp_path, capsys):
         with pytest.raises(ConfigError) as caught:
             run([path, *words])
         assert told in str(caught.value)
-
-
-RUNNER = """
-import resource, signal, sys, warnings
-from pathlib import Path
-import numpy as np
-from fuzzing import mutated
-from urdf_files import CART, damaged, write_cart
-from dune_rl.core.errors import RobotError
-from dune_rl.robots.urdf.conf import UrdfConf
-from dune_rl.robots.urdf.robot import UrdfRobot
-folder, first, last = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
-warnings.simplefilter("ignore")
-path = write_cart(Path(folder))
-shell = path.parent.parent / "meshes" / "shell.obj"
-mesh = shell.read_bytes()
-UrdfRobot(UrdfConf(path=str(path)), 1)
-resource.setrlimit(resource.RLIMIT_AS, (6 * 2**30, 6 * 2**30))
-robots = errors = 0
-for seed in range(first, last):
-    print("seed", seed, flush=True)
-    rng = np.random.default_rng(seed)
-    path.write_bytes(mutated(CART.encode(), rng, "sdf") if seed % 5 == 0 else damaged(CART, rng).encode())
-    shell.write_bytes(mutated(mesh, rng, "obj") if seed % 4 == 0 else mesh)
-    signal.alarm(60)
-    try:
-        UrdfRobot(UrdfConf(path=str(path)), 1)
-        robots += 1
-    except RobotError as error:
-        assert len(str(error).splitlines()) <= 2 and len(str(error)) < 900, str(error)
-        errors += 1
-    signal.alarm(0)
-print("done", robots, errors)
-"""
-
-
-def fuzz(folder: Path, first: int, last: int) -> tuple[int, int]:
-    done = subprocess.run(
-        [sys.executable, "-c", RUNNER, str(folder), str(first), str(last)],
-        capture_output=True,
-        text=True,
-        timeout=1800,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
-    )
-    lines = done.stdout.splitlines()
-    assert done.returncode == 0, f"{lines[-1:]}: {done.returncode}\n{done.stderr[-3000:]}"
-    robots, errors = lines[-1].split()[1:]
-    return int(robots), int(errors)
-
-
-@pytest.mark.slow
-def test_damaged_files_are_refused_or_read(tmp_path):
-    robots, errors = fuzz(tmp_path, 0, 60)
-    assert robots > 0
-    assert errors > 0
-
-
-@pytest.mark.slow
-def test_many_damaged_files_are_refused_or_read(tmp_path):
-    assert sum(fuzz(tmp_path, 1000, 2000)) == 1000

@@ -57,6 +57,7 @@ def poses_in(scenes: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return positions, rotations, seen_at(actors)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [(16, 16), (21, 13)])
 def test_pictures_of_a_batch_are_those_of_single_scenes(size):
     camera = camera_in(rough(), CROWD, width=size[0], height=size[1])
@@ -178,6 +179,7 @@ def test_a_reading_is_the_reader_s_own():
         np.testing.assert_array_equal(value, copies[name])
 
 
+@pytest.mark.slow
 def test_a_rover_s_camera_sees_what_lies_before_the_rover():
     walk = {"waypoints": ((2.5, -5.0), (2.5, 5.0)), "speed_mps": 3.0}
     scenes = started_simulation("flat", 6, actors=[walk], sensors=SEEING)

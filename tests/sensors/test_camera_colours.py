@@ -60,6 +60,7 @@ def test_decks_and_water_are_told_apart_from_obstacles():
     assert np.nonzero(found == Segment.DECK)[1].max() < 16 <= np.nonzero(found == Segment.WATER)[1].min()
 
 
+@pytest.mark.slow
 def test_solar_panels_look_blue_and_the_ground_does_not():
     world = build_world(InspectionConf(seed=3))
     camera = camera_in(world, width=16, height=16, pitch_deg=90.0, mount_b=(0.0, 0.0, 0.0), fov_deg=17.0)

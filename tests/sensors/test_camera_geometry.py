@@ -68,6 +68,7 @@ def agree(found: dict[str, np.ndarray], expected: dict[str, np.ndarray]) -> None
     np.testing.assert_allclose(found["normals"][same], expected["normals"][same], atol=1e-5)
 
 
+@pytest.mark.slow(all_but=["0.0-0.0-0.0-0.0-0.0-11.0"])
 @pytest.mark.parametrize("pitch_deg", [0.0, 11.0, -17.0, 90.0])
 @pytest.mark.parametrize(
     ("x", "y", "yaw", "roll", "nose_down"),

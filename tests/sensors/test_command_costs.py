@@ -57,6 +57,7 @@ def test_commands_into_a_wall_cost_more_than_those_round_it() -> None:
     simulation.close()
 
 
+@pytest.mark.slow
 def test_low_obstacles_reach_no_farther_than_where_rays_met_them() -> None:
     # The gap is 0.6 m wide, between posts that both the scan and the sight of the ground see. By whole cells
     # of the map, to drive on would be a contact, which costs the most there is.

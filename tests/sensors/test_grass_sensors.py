@@ -49,6 +49,7 @@ def test_beams_pass_by_chance_and_path_length():
     assert seen.min() == np.float32(0.1)
 
 
+@pytest.mark.slow
 def test_blades_flicker_as_the_moment_says():
     effect, true = in_grass(), np.full((2, 2000), 3.0, np.float32)
     seen = effect.applied(true, standing([4, 9], [1, 5]))

@@ -125,6 +125,7 @@ def states(step: int, rng: np.random.Generator) -> tuple[GroupState, GroupState]
     return together, apart
 
 
+@pytest.mark.slow(all_but=["currents-perfect", "odometry-faulty"])
 @pytest.mark.parametrize("faulty", [False, True], ids=["perfect", "faulty"])
 @pytest.mark.parametrize("enabled", KINDS, ids=lambda names: names[0])
 def test_three_agents_in_a_scene_read_what_three_scenes_do(enabled, faulty):

@@ -71,6 +71,7 @@ def read(imu: Imu, rotation: np.ndarray, angular_b: np.ndarray | None = None) ->
     return imu.reading(rotation[None], angular_b[None], np.zeros((1, 3)))[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("axis", "angle"), [([1, 0, 0], 0.0), ([1, 0, 0], 0.4), ([0, 1, 0], -0.3), ([0.6, 0.8, 0], 2.0)]
 )

@@ -190,7 +190,7 @@ def test_the_forecast_of_the_package_knows_a_walker_by_its_way() -> None:
         ({"step_s": None}, "has no sound step_s"),
         ({"scale": np.zeros(FEATURES, np.float32)}, "has no sound scale"),
         ({"bias_0": np.array(1.0, np.float32)}, "has no sound"),
-        ({"bias_0": np.array(["a"] * 8)}, "has no sound bias_0"),
+        ({"bias_0": np.array(["a"] * 8)}, "is no whole file of arrays"),
     ],
 )
 def test_a_file_without_sound_arrays_is_refused(

@@ -104,6 +104,7 @@ def driven(sensors: SensorSuite, steps: int = 4) -> dict[str, np.ndarray]:
 # -- what is perfect, and what is not ------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("realism", [{"imu": "bno055"}, {"lidar": "rplidar_a2m8"}, {"odometry": {}}])
 def test_once_any_realism_is_set_no_reading_is_the_truth(realism):
     true = driven(suite(enabled=EVERYTHING))
@@ -297,6 +298,7 @@ def test_a_past_scan_is_carried_by_what_the_robot_believes(segments):
 # -- in a simulation -----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_biased_gyroscope_misleads_the_heading_loop():
     # Rovers told to go straight on: a loop that closes on the yaw rate turns against the gyroscope's bias.
     faulty = with_realism({"imu": {"gyroscope": {"bias": 0.3}}, "lidar": "perfect"})
@@ -317,6 +319,7 @@ def test_a_biased_gyroscope_misleads_the_heading_loop():
     assert turns["faulty"].std() > 0.3
 
 
+@pytest.mark.slow
 def test_a_goal_is_known_as_well_as_the_receiver_is():
     # Two metres of deviation on each axis; eight episodes of sixteen scenes.
     realism = {"position": {"place": {"bias": 2.0}}, "imu": "perfect"}

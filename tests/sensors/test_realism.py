@@ -140,6 +140,7 @@ def allan_deviation(readings: np.ndarray, step_s: float, tau_s: float) -> np.nda
     return np.sqrt((second**2).mean(axis=0) / 2) / tau_s
 
 
+@pytest.mark.slow
 def test_an_hour_s_allan_deviation_tells_the_configured_noise_and_walk():
     # Eight units at rest for an hour, at 5 Hz: 24 axes of each kind.
     step_s, units = 0.2, 8

@@ -263,6 +263,7 @@ def test_goals_are_no_farther_than_told_where_the_region_has_such() -> None:
         SpawnConf(max_goal_distance_m=2.0)
 
 
+@pytest.mark.slow
 def test_a_share_of_the_episodes_is_anywhere_in_the_world() -> None:
     spawn = {"region": (-2.0, 2.0, -2.0, 2.0), "anywhere_share": 0.5}
     simulation = new_simulation("flat", 12, task={"spawn": spawn})

@@ -22,6 +22,7 @@ def run(monkeypatch, *words: str) -> int:
     return ended.value.code
 
 
+@pytest.mark.slow
 def test_it_writes_the_file_and_the_picture_and_overwrites_neither(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     words = "world=flat", "velocity=1.0", WAY, "out=deep/actor.sdf", "mode=once", "name=<b> & c"

@@ -126,6 +126,7 @@ def test_tracks_are_those_of_the_episodes_of_the_seed() -> None:
         assert np.hypot(*np.diff(each.points, axis=0).T).max() < 0.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["random", "mppi"])
 def test_built_in_policies_drive_as_in_an_evaluation(name: str) -> None:
     """Whatever the seed of the episodes is, of which neither draws its own chance."""

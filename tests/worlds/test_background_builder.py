@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from world_digest import digest
 
+from dune_rl.worlds.cache.folder import CacheWarning
 from dune_rl.worlds.cache.store import WorldStore
 from dune_rl.worlds.flat import FlatConf
 from dune_rl.worlds.importing.mesh_world import MeshConf
@@ -72,6 +73,21 @@ def test_what_cameras_need_is_worked_out_if_asked(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_a_killed_process_is_replaced_and_a_warning_says_so(tmp_path: Path) -> None:
+    store = WorldStore(tmp_path)
+    store.prepare(CONFS)
+    killed = store.builder_pid
+    assert killed is not None
+    os.kill(killed, signal.SIGKILL)
+    wait_for(lambda: store.builder_pid is None)
+    with pytest.warns(CacheWarning, match="ended with code -9; another is started"):
+        store.prepare(CONFS)
+    assert store.builder_pid not in (None, killed)
+    wait_for(lambda: kept(store) == len(CONFS))
+    store.close()
+
+
+@pytest.mark.slow
 def test_what_cannot_be_built_does_not_stop_the_rest(tmp_path: Path) -> None:
     store = WorldStore(tmp_path)
     store.prepare([MeshConf(path=str(tmp_path / "missing.obj")), MeshConf(path="x" * 5000), *CONFS])
@@ -88,6 +104,7 @@ import os, signal, sys, time
 signal.signal(signal.SIGINT, signal.default_int_handler)
 from pathlib import Path
 from dune_rl.worlds.island import IslandConf
+from dune_rl.worlds.cache.folder import CacheWarning
 from dune_rl.worlds.cache.store import WorldStore
 store = WorldStore(Path(sys.argv[1]))
 store.prepare([IslandConf(seed=seed) for seed in range(200)])

@@ -22,6 +22,7 @@ def test_the_seed_chooses_the_family_and_its_site() -> None:
     assert conf.drawn().drawn() == conf.drawn()
 
 
+@pytest.mark.slow
 def test_scenes_are_in_different_families_with_equal_bounds() -> None:
     simulation = new_simulation(MIXED, 8, randomisation={"world_seed": [0, 9]})
     simulation.reset()

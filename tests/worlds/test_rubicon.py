@@ -50,6 +50,7 @@ def test_slopes_and_relief_are_at_least_inspection_s(seed):
     assert 17.0 <= steep <= 25.0
 
 
+@pytest.mark.slow(all_but=["1"])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_bumps_have_the_spectrum_of_natural_ground(seed):
     terrain = rubicon(seed).terrain

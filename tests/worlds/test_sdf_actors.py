@@ -212,6 +212,7 @@ def test_way_points_that_are_too_far_off_are_refused(tmp_path):
         read(tmp_path, actor("far", way_point(0, 0, 0), way_point(3, 1e200, 0)))
 
 
+@pytest.mark.slow
 def test_actors_walk_on_time_on_the_ground_in_every_scene(tmp_path):
     walk = line(2, 6, 2)
     late = actor("late", *walk, script="<delay_start>1</delay_start>")

@@ -1,5 +1,6 @@
 """Worlds kept on disk: the same as built ones, whatever becomes of the disk."""
 
+import errno
 import json
 import os
 import subprocess
@@ -8,6 +9,7 @@ import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -246,6 +248,28 @@ def test_a_folder_that_cannot_be_written_stops_nothing(tmp_path: Path) -> None:
     with pytest.warns(CacheWarning):
         first = store.get(QUICK)
     assert digest(store.get(QUICK)) == digest(first)
+
+
+def test_a_folder_that_can_no_longer_be_read_stops_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store, conf = WorldStore(tmp_path), QUICK
+    store.get(conf)
+    stat, denied = os.stat, PermissionError(errno.EACCES, "Permission denied")
+
+    # Root may read whatever the rights say.
+    def deny(path: Any, *args: Any, **kwargs: Any) -> Any:
+        if str(path).startswith(str(tmp_path)):
+            raise denied
+        return stat(path, *args, **kwargs)
+
+    monkeypatch.setattr(os, "stat", deny)
+    monkeypatch.setattr("dune_rl.worlds.cache.folder.load_npz", Mock(side_effect=denied))
+    monkeypatch.setattr("dune_rl.worlds.cache.folder.write_atomically", Mock(side_effect=denied))
+    assert not store.is_cached(conf) and not store.is_cached(conf, with_appearance=True)
+    with pytest.warns(CacheWarning, match=r"cannot be (read|written) \(Permission denied\)") as told:
+        assert digest(store.get(conf)) == digest(build_uncached(conf))
+    assert len(told) == 2
 
 
 def test_a_full_disk_stops_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -146,6 +146,7 @@ def test_natural_worlds_have_their_surfaces_and_keep_all_else(name, expected):
     np.testing.assert_array_equal(again.surfaces.numbers, found.numbers)
 
 
+@pytest.mark.slow
 def test_seeds_move_surfaces_and_steep_ground_is_rock():
     worlds = [world_of("rubicon", seed=seed, surfaces="natural") for seed in (0, 1)]
     assert (worlds[0].surfaces.numbers != worlds[1].surfaces.numbers).mean() > 0.3

@@ -32,6 +32,7 @@ def fitted(world: World, xy: np.ndarray, radius: float) -> float:
     return float(np.sqrt(left[0] / len(x)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("radius", [0.5, 1.5])
 def test_roughness_is_what_a_plane_leaves(world: World, radius: float) -> None:
     points = places(world, 60)

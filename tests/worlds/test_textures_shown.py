@@ -57,6 +57,7 @@ def test_a_picture_shows_a_sign_upright_and_the_right_way_round(yard):
     assert [nearest(colour) for colour in corners] == ["red", "green", "blue", "yellow"]
 
 
+@pytest.mark.slow
 def test_a_camera_shows_it_too(yard):
     conf = camera_conf(outputs=("rgb",), width=64, height=48, fov_deg=34.0, mount_b=(0.0, 0.0, 0.0))
     camera = Camera(conf, bake_world(yard, BEHIND), ())

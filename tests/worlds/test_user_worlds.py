@@ -94,6 +94,7 @@ def test_a_function_is_a_world_like_any_other(user: Path) -> None:
     del gymnasium.registry["dune_rl/Crater-v0"]
 
 
+@pytest.mark.slow
 def test_the_faults_of_settings_have_the_words_they_have_elsewhere(user: Path) -> None:
     assert fault("+world=creter") == "there is no world 'creter'; did you mean crater?"
     assert fault("+world=crater", "world.deph_m=3", "world.rocks=x").splitlines() == [
@@ -258,6 +259,7 @@ def test_weak_props_are_warned_of_and_sound_ones_are_not() -> None:
         check_world(plain(replace(CUBE, faces=CUBE.faces[:, ::-1])))
 
 
+@pytest.mark.slow(all_but=["flat"])
 @pytest.mark.parametrize(
     "name", ["flat", "inspection", "construction", "rubicon", "island", "obstacle_course"]
 )

@@ -9,23 +9,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from dune_rl.commands import command_line
-from dune_rl.commands.benchmark import parts
-from dune_rl.commands.benchmark.learning import measure_learning
-from dune_rl.commands.benchmark.sensors import measure_sensors
 from dune_rl.config.commands import BenchmarkConf
 from dune_rl.config.compose import compose
 
-_MEASURES: Mapping[str, Callable[[BenchmarkConf], Mapping[str, Any]]] = {
-    "environment": parts.measure_environment,
-    "cameras": parts.measure_cameras,
-    "sensors": measure_sensors,
-    "terrain": parts.measure_terrain,
-    "new_world": parts.measure_new_world,
-    "world_memory": parts.measure_world_memory,
-    "groups": parts.measure_groups,
-    "actors": parts.measure_actors,
-    "engines": parts.measure_engines,
-}
 # Parts that replace the agent groups of the settings, or have none.
 _WITHOUT_GROUPS = ("terrain", "groups", "actors", "processes", "learning")
 
@@ -33,7 +19,25 @@ _WITHOUT_GROUPS = ("terrain", "groups", "actors", "processes", "learning")
 def run(words: Sequence[str]) -> None:
     parsed = command_line.parse_arguments(words)
     conf = compose(BenchmarkConf, parsed.overrides, command_line.config_folders(parsed))
-    for part, measure in _MEASURES.items():
+    # A wrong setting is refused before all that is measured is loaded, which takes seconds.
+    from dune_rl.commands.benchmark import parts
+    from dune_rl.commands.benchmark.learning import measure_learning
+    from dune_rl.commands.benchmark.sensors import measure_sensors
+    from dune_rl.commands.benchmark.sizes import measure_sizes
+
+    measures: Mapping[str, Callable[[BenchmarkConf], Mapping[str, Any]]] = {
+        "environment": parts.measure_environment,
+        "cameras": parts.measure_cameras,
+        "sensors": measure_sensors,
+        "terrain": parts.measure_terrain,
+        "new_world": parts.measure_new_world,
+        "world_memory": parts.measure_world_memory,
+        "groups": parts.measure_groups,
+        "actors": parts.measure_actors,
+        "engines": parts.measure_engines,
+        "sizes": measure_sizes,
+    }
+    for part, measure in measures.items():
         if part in conf.parts:
             _emit(part, conf, measure(conf))
     for processes in conf.processes if "processes" in conf.parts else ():

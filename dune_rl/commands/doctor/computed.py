@@ -29,9 +29,9 @@ def _digest_drive(engine: str, world: str) -> str:
     env = dune_rl.gym_vector_env(world, _SCENES, actors="walkers", overrides=[f"physics={engine}"])
     draws, digest = np.random.default_rng(0), hashlib.sha256()
     observations, _ = env.reset(seed=0)
-    _add(digest, observations)
+    add_values(digest, observations)
     for _ in range(_STEPS):
-        _add(digest, env.step(_draw_actions(draws, _SCENES)))
+        add_values(digest, env.step(_draw_actions(draws, _SCENES)))
     env.close()
     return digest.hexdigest()[:16]
 
@@ -41,14 +41,15 @@ def _draw_actions(draws: np.random.Generator, scenes: int) -> np.ndarray:
     return draws.uniform([0.0, -0.6], [1.0, 0.6], (scenes, 2)).astype(np.float32)
 
 
-def _add(digest: Any, values: Any) -> None:
+def add_values(digest: Any, values: Any) -> None:
+    """Add to a `digest` of hashlib the bytes, types and shapes of arrays in mappings, by key, and tuples."""
     if isinstance(values, Mapping):
         for key in sorted(values):
             digest.update(key.encode())
-            _add(digest, values[key])
+            add_values(digest, values[key])
     elif isinstance(values, tuple):
         for each in values:
-            _add(digest, each)
+            add_values(digest, each)
     else:
         array = np.ascontiguousarray(values)
         digest.update(f"{array.dtype} {array.shape}".encode() + array.tobytes())

@@ -8,17 +8,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, field_validator
 
 from dune_rl.core.errors import ConfigError
-from dune_rl.core.files import write_atomically
+from dune_rl.core.files import check_not_later, write_atomically
 from dune_rl.core.paths import assets_folder
 from dune_rl.core.settings import Settings
 from dune_rl.core.suggestions import closest, one_of
+from dune_rl.core.untrusted_files import first_line
 from dune_rl.worlds.world import Rectangle
 
 _LARGEST_FILE = 16 * 2**20
 FORMAT = "dune_rl episode set"
+# A later format must state `written_by`, the version of dune_rl that it needs.
 FORMAT_VERSION = 1
 _SHA256 = r"^[0-9a-f]{64}$"
 NAME_PATTERN = "[A-Za-z0-9][A-Za-z0-9_-]*"
@@ -81,6 +83,14 @@ class SetHeader(Settings):
     command: str
     sha256: str = Field(pattern=_SHA256)
 
+    @field_validator("settings")
+    @classmethod
+    def _name_the_world(cls, settings: dict[str, Any]) -> dict[str, Any]:
+        world = settings.get("world")
+        if not isinstance(world, dict) or not isinstance(world.get("name"), str):
+            raise ValueError("must have a world with a name")
+        return settings
+
 
 @dataclass(frozen=True)
 class EpisodeSet:
@@ -139,6 +149,10 @@ def read_episode_set(name: str) -> EpisodeSet:
         raw = json.loads(_read_text(file))
     except (ValueError, RecursionError):
         raise ConfigError(f"{file} is not JSON; copy the set again") from None
+    if isinstance(raw, dict):
+        # Before the header, whose fields may be others in a later format.
+        version, writer = raw.get("format_version"), raw.get("written_by")
+        check_not_later(file, version, FORMAT_VERSION, writer, ConfigError)
     try:
         header = SetHeader.model_validate(raw)
     except ValidationError as error:
@@ -192,7 +206,10 @@ def _read_text(file: Path) -> str:
 
 
 def _parse_rows(text: str, file: Path) -> tuple[SetEpisode, ...]:
-    rows = list(csv.reader(text.splitlines()))
+    try:
+        rows = list(csv.reader(text.splitlines()))
+    except csv.Error as error:
+        raise ConfigError(f"{file} is no CSV file: {error}") from None
     if not rows or tuple(rows[0]) != COLUMNS:
         raise ConfigError(f"{file} must begin with the columns {','.join(COLUMNS)}")
     found = []
@@ -202,5 +219,5 @@ def _parse_rows(text: str, file: Path) -> tuple[SetEpisode, ...]:
             start = (float(x), float(y), float(yaw))
             found.append(SetEpisode(int(number), int(seed) if seed else None, start, (goal_x, goal_y)))
     except ValueError as error:
-        raise ConfigError(f"{file} has a row that cannot be read: {error}") from None
+        raise ConfigError(f"{file} has a row that cannot be read: {first_line(error)}") from None
     return tuple(found)

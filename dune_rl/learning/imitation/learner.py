@@ -20,6 +20,7 @@ from dune_rl.learning.imitation.settings import ImitationConf
 from dune_rl.learning.imitation.teacher import TEACHER_COSTS, TeacherLabels
 from dune_rl.learning.networks.commands import check_prior, command_grid, make_command_network
 from dune_rl.learning.networks.policy import Architecture
+from dune_rl.learning.optimiser import FiniteAdam
 from dune_rl.learning.policy_spec import PackedObservation
 from dune_rl.learning.sac.replay import Replay, check_memory
 
@@ -44,7 +45,7 @@ class Imitation(Algorithm):
         super().__init__(context)
         self._commands = command_grid(context.spec, conf.commands)
         self._network = self.policy.network
-        self._optimiser = torch.optim.Adam(self._network.parameters(), lr=conf.learning_rate, fused=True)
+        self.optimiser: FiniteAdam = FiniteAdam(self._network.parameters(), lr=conf.learning_rate)
         self._floats, self._octets = context.spec.packed_sizes
         self._width = 2 * self._floats + self._octets + 2 * len(self._commands)
         check_memory(conf.replay, self._width, context.total_frames * context.num_agents)
@@ -129,7 +130,7 @@ class Imitation(Algorithm):
         if not count or not len(self._replay):
             return {}
         rate = self._conf.learning_rate_at(min(1.0, self._frames / self.context.total_frames))
-        self._optimiser.param_groups[0]["lr"] = rate
+        self.optimiser.param_groups[0]["lr"] = rate
         means = mean_values(map(self._step, self._replay.minibatches(count, self._conf.batch_size)))
         self._updates_due -= count
         self.updates += count
@@ -147,10 +148,10 @@ class Imitation(Algorithm):
         entropy = -(wanted * logits.log_softmax(-1)).sum(-1).mean()
         error = (predicted - costs).square().mean()
         loss = entropy + _COST_WEIGHT / conf.max_cost * error
-        self._optimiser.zero_grad()
+        self.optimiser.zero_grad()
         loss.backward()
-        nn.utils.clip_grad_norm_(self._network.parameters(), _MAX_GRADIENT)
-        self._optimiser.step()
+        norm = nn.utils.clip_grad_norm_(self._network.parameters(), _MAX_GRADIENT)
+        self.optimiser.step(norm=norm)
         with torch.no_grad():
             regret = costs.gather(-1, head.choose(predicted, features)[:, None]).mean()
         return {
@@ -161,12 +162,12 @@ class Imitation(Algorithm):
 
     def state_dict(self) -> dict[str, Any]:
         """Weights, statistics, the optimiser's state, and the count of updates that are due."""
-        state = {"optimiser": self._optimiser.state_dict(), "updates_due": self._updates_due}
+        state = {"optimiser": self.optimiser.state_dict(), "updates_due": self._updates_due}
         return {**super().state_dict(), **state}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         super().load_state_dict(state)
-        self._optimiser.load_state_dict(state["optimiser"])
+        self.optimiser.load_state_dict(state["optimiser"])
         self._updates_due = state["updates_due"]
 
     def save_experience(self, path: Path) -> dict[str, Any] | None:
@@ -175,7 +176,7 @@ class Imitation(Algorithm):
 
     def load_experience(self, folder: Path, saved: Mapping[str, Any]) -> None:
         """Read the data; raises CheckpointError if the file is missing or does not fit."""
-        self._replay.load(folder / saved["file"], saved)
+        self._replay.load_from(folder, saved)
 
     def close(self) -> None:
         self._replay.close()

@@ -27,6 +27,7 @@ from dune_rl.learning.networks.policy import (
     Architecture,
     Features,
 )
+from dune_rl.learning.optimiser import FiniteAdam
 from dune_rl.learning.policy_spec import PackedObservation
 from dune_rl.learning.ppo.settings import PpoConf
 
@@ -76,7 +77,7 @@ class Ppo(Algorithm):
             for parameter in (() if module is None else module.parameters())
             if parameter.requires_grad
         ]
-        self.optimiser = torch.optim.Adam(self._parameters, lr=conf.learning_rate, fused=True)
+        self.optimiser: FiniteAdam = FiniteAdam(self._parameters, lr=conf.learning_rate)
         self._batch: TensorDict | None = None
         self._frames = 0
 
@@ -186,7 +187,7 @@ class Ppo(Algorithm):
         self.optimiser.zero_grad()
         (losses["loss_objective"] + losses["loss_critic"] + losses["loss_entropy"]).backward()
         norm = nn.utils.clip_grad_norm_(self._parameters, self._conf.max_gradient_norm)
-        self.optimiser.step()
+        self.optimiser.step(norm=norm)
         names = {
             "loss/actor": "loss_objective",
             "loss/critic": "loss_critic",

@@ -1,8 +1,11 @@
 """The folder of a training run: its checkpoint, and the files of policies and experience."""
 
+import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
+
+import yaml
 
 from dune_rl.core.errors import CheckpointError
 from dune_rl.core.files import write_atomically
@@ -10,41 +13,70 @@ from dune_rl.learning.algorithm import Algorithm
 from dune_rl.learning.checkpoint import (
     BEST_POLICY_FILE,
     CHECKPOINT_FILE,
+    CONFIG_FILE,
     LAST_POLICY_FILE,
     write_checkpoint_file,
 )
 from dune_rl.learning.run.locks import RunLock, check_unused
+from dune_rl.learning.run.log import CURVE_FILE, METRICS_FILE
 from dune_rl.learning.saved_policies import BEST_EVALUATION, LATEST, policy_entry
 
 _EXPERIENCE = "replay"
+# Names of the files that a run writes beside their place, and then renames.
+_WRITTEN = (
+    CONFIG_FILE,
+    CHECKPOINT_FILE,
+    LAST_POLICY_FILE,
+    BEST_POLICY_FILE,
+    METRICS_FILE,
+    CURVE_FILE,
+    f"{_EXPERIENCE}-*",
+)
 
 
 class RunFolder:
     """Writes what a run keeps in `path`; `config` is the resolved configuration, stored beside the weights.
 
-    Raises CheckpointError if the folder cannot be written, if another run is writing there, or with `fresh`
-    if it already holds a run.
+    So is `started_from`: by group, the file of the weights with which a run began, and its SHA-256. Raises
+    CheckpointError if the folder cannot be written, if another run is writing there, or with `fresh` if it
+    already holds a run.
     """
 
     def __init__(self, path: Path, config: Mapping[str, Any], *, fresh: bool) -> None:
         self.path = path
         self.config = dict(config)
+        self.started_from: Mapping[str, Mapping[str, str]] = {}
         if fresh:
             check_unused(path)
         try:
             path.mkdir(parents=True, exist_ok=True)
-            with write_atomically(path / ".writable"):
+            # Without a name, which a process that is killed would leave.
+            with tempfile.TemporaryFile(dir=path):
                 pass
-            (path / ".writable").unlink()
         except OSError as error:
             raise CheckpointError(
                 f"The folder {path} cannot be written: {error.strerror or error}.\n"
                 "Name another folder for the run."
             ) from error
         self._lock = RunLock(path)
+        # Of a run that was killed amid a save, perhaps as large as its replay buffer.
+        for name in _WRITTEN if self._lock.is_held else ():
+            for file in path.glob(f".{name}.*.tmp"):
+                file.unlink(missing_ok=True)
+
+    def save_config(self) -> None:
+        """Write the configuration, before any other file: by it `resume=auto` knows whose the others are."""
+        with write_atomically(self.path / CONFIG_FILE) as temporary:
+            temporary.write_text(yaml.safe_dump(self.config, sort_keys=False))
 
     def release(self) -> None:
         self._lock.release()
+
+    def describe_last_save(self) -> str:
+        """What a run that ends without another save can be gone on from."""
+        if (self.path / CHECKPOINT_FILE).exists():
+            return f"The last save is whole; go on from it with resume={self.path}"
+        return "Nothing was saved; begin again"
 
     def save_policies(
         self, learners: Mapping[str, Algorithm], frames: int, score: Mapping[str, Any] | None = None
@@ -55,7 +87,7 @@ class RunFolder:
         """
         groups = {group: policy_entry(learner) for group, learner in learners.items()}
         selection = {"by": LATEST} if score is None else {"by": BEST_EVALUATION, **score}
-        content = {"groups": groups, "config": self.config, "frames": frames, "selection": selection}
+        content = {**self._common(groups), "frames": frames, "selection": selection}
         name = LAST_POLICY_FILE if score is None else BEST_POLICY_FILE
         write_checkpoint_file(self.path / name, "policy", content)
 
@@ -78,13 +110,17 @@ class RunFolder:
             del entry["policy"]
             experience = learner.save_experience(path) if with_experience else None
             groups[group] = {**entry, "learner": learner.state_dict(), "experience": experience}
-        content = {"groups": groups, "config": self.config, **progress}
+        content = {**self._common(groups), **progress}
         write_checkpoint_file(self.path / CHECKPOINT_FILE, "checkpoint", content)
         self.save_policies(learners, frames)
         named = {name for entry in groups.values() for name in _files(entry["experience"] or {})}
         for file in self.path.glob(f"{_EXPERIENCE}-*.*"):
             if file.name not in named:
                 file.unlink()
+
+    def _common(self, groups: Mapping[str, Any]) -> dict[str, Any]:
+        origins = {group: dict(origin) for group, origin in self.started_from.items()}
+        return {"groups": groups, "config": self.config, "started_from": origins}
 
 
 def _files(experience: Mapping[str, Any]) -> Iterator[str]:

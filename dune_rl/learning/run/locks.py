@@ -30,6 +30,11 @@ class RunLock:
             None if handle is None else weakref.finalize(self, _unlock, handle, folder, os.getpid())
         )
 
+    @property
+    def is_held(self) -> bool:
+        """Whether the folder is locked; false where there are no such locks."""
+        return self._release is not None and self._release.alive
+
     def release(self) -> None:
         """Let others have the folder; a second call does nothing."""
         if self._release is not None:
@@ -81,6 +86,17 @@ def check_unused(folder: Path) -> None:
             f"{folder} holds {left.name} of an earlier run, and no {CHECKPOINT_FILE} to go on with: choose "
             "another run_dir"
         )
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove the files of a run in `folder` that was cut off before its first save.
+
+    Raises CheckpointError if that run is still going on.
+    """
+    lock = RunLock(folder)
+    for file in [file for pattern in _OF_A_RUN for file in folder.glob(pattern)]:
+        file.unlink()
+    lock.release()
 
 
 @contextlib.contextmanager

@@ -3,6 +3,7 @@
 import math
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -179,7 +180,10 @@ class RunLog:
                 self._recent[group].restore(recent)
 
     def close(self) -> None:
-        self._events.close()
+        """Close the TensorBoard file, of which `write` has brought all to the disk."""
+        # Where the disk is full, the run has ended with that error already.
+        with suppress(OSError):
+            self._events.close()
 
 
 class RecentEpisodes:

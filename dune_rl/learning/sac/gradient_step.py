@@ -11,6 +11,7 @@ from torchrl.objectives import CrossQLoss, DiscreteSACLoss, SACLoss, SoftUpdate
 
 from dune_rl.learning.networks.critic import CRITIC_FEATURES, CriticFeatures
 from dune_rl.learning.networks.policy import FEATURES, Features, perceptron
+from dune_rl.learning.optimiser import FiniteAdam
 from dune_rl.learning.policy_spec import PackedObservation, PolicySpec
 from dune_rl.learning.sac.settings import MaximumEntropyConf, SacConf
 
@@ -49,13 +50,12 @@ class GradientStep:
         coefficient = self.loss.log_alpha
         networks = [p for p in self.loss.parameters() if p.requires_grad and p is not coefficient]
         networks += [*self._features.parameters(), *critic_features.parameters()]
-        self.optimiser = torch.optim.Adam(
+        self.optimiser = FiniteAdam(
             [
                 {"params": networks, "lr": conf.learning_rate},
                 {"params": [coefficient], "lr": conf.entropy_learning_rate},
             ],
             betas=self._betas,
-            fused=True,
         )
 
     def _make_loss(

@@ -46,6 +46,7 @@ class MaximumEntropyLearner(Algorithm):
         features = self.policy.network[0].module
         self._critic_features = CriticFeatures(features, spec, whole, privileged).to(context.device)
         self._step = self.step_class(conf, spec, self.policy.network, self._critic_features, context.device)
+        self.optimiser = self._step.optimiser
         self._codec = TransitionCodec(whole, conf.n_steps, conf.gamma)
         row = self._codec.width * self._codec.dtype.itemsize
         check_memory(conf.replay, row, context.total_frames * context.num_agents)
@@ -164,10 +165,9 @@ class MaximumEntropyLearner(Algorithm):
 
     def load_experience(self, folder: Path, saved: Mapping[str, Any]) -> None:
         """Read the replay buffers; raises CheckpointError if a file is missing or does not fit."""
-        self._replay.load(folder / saved["file"], saved)
+        self._replay.load_from(folder, saved)
         if self._demonstrations is not None:
-            numbers = saved[DEMONSTRATIONS]
-            self._demonstrations.replay.load(folder / numbers["file"], numbers)
+            self._demonstrations.replay.load_from(folder, saved[DEMONSTRATIONS])
 
     def close(self) -> None:
         self._replay.close()

@@ -16,6 +16,7 @@ from torchrl.data import LazyMemmapStorage, LazyTensorStorage, ReplayBuffer
 
 from dune_rl.core.errors import CheckpointError, ConfigError
 from dune_rl.core.files import write_atomically
+from dune_rl.core.untrusted_files import first_line, printable
 from dune_rl.learning.networks.policy import FEATURES
 from dune_rl.learning.networks.settings import ReplayConf
 from dune_rl.learning.policy_spec import PackedObservation, PolicySpec
@@ -112,10 +113,21 @@ class Replay:
         except OSError as error:
             raise CheckpointError(
                 f"{file} cannot be written: {error.strerror or error}.\n"
-                "Free some space, or set learning.checkpoint.replay=false; the last save is intact."
+                "Free some space, allow writing there, or set learning.checkpoint.replay=false; "
+                "what was saved before is intact."
             ) from error
 
-    def load(self, path: Path, numbers: Mapping[str, int]) -> None:
+    def load_from(self, folder: Path, saved: Mapping[str, Any]) -> None:
+        """Read what `save_beside` wrote in `folder` and returned; raises CheckpointError where it cannot."""
+        name = str(saved["file"])
+        if Path(name).name != name:
+            raise CheckpointError(
+                f"A checkpoint in {folder} names the replay buffer {printable(name)}, outside of its folder: "
+                "it is not read.\nGive a checkpoint that dune_rl wrote."
+            )
+        self.load(folder / name, saved)
+
+    def load(self, path: Path, numbers: Mapping[str, Any]) -> None:
         """The inverse of `save`, on an empty buffer; raises CheckpointError if the file does not fit."""
         try:
             rows = np.load(path, mmap_mode="r", allow_pickle=False)
@@ -124,9 +136,10 @@ class Replay:
                 f"The replay buffer {path} is missing: its checkpoint needs it.\n"
                 "Put it back, or evaluate the checkpoint and train again."
             ) from error
-        except (OSError, ValueError) as error:
+        # The header is a Python literal, and its parser raises many errors.
+        except Exception as error:
             raise CheckpointError(
-                f"{path} is damaged: {error}.\nPut a good copy in its place, or train again."
+                f"{path} is damaged: {first_line(error)}.\nPut a good copy in its place, or train again."
             ) from error
         if rows.shape != (numbers["size"], self._width) or rows.dtype.str != self._descr:
             raise CheckpointError(

@@ -92,9 +92,6 @@ def replay_failures(
     """
     try:
         plan, source = _plan(failures[0].method)
-        if source.kind == "callable":
-            # A report must not run code that a folder names.
-            raise DuneError("its policy is a function of a user's, which reports do not run")
     except DuneError as error:
         return _give_up(failures, str(error), progress)
     plan = replace(plan, sources=(source,))
@@ -143,7 +140,11 @@ def _plan(method: EvaluatedPolicy) -> tuple[EvaluationPlan, PolicySource]:
     source = next((each for each in plan.sources if each.name == method.policy), None)
     if source is None:
         raise DuneError("its policy is not among those of the settings")
-    check_same_sources(replace(plan, sources=(source,)), read_provenance(method.run.path), method.run.path)
+    provenance, alone = read_provenance(method.run.path), replace(plan, sources=(source,))
+    check_same_sources(alone, provenance, method.run.path, trusted=(source.location,))
+    if source.kind == "callable":
+        # A report must not run code that a folder names.
+        raise DuneError("its policy is a function of a user's, which reports do not run")
     return plan, source
 
 

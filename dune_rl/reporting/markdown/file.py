@@ -20,12 +20,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
 from pydantic import ValidationError
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.files import write_atomically
 from dune_rl.core.settings import Settings
+from dune_rl.core.untrusted_files import parse_yaml
 from dune_rl.reporting.inputs import Note
 from dune_rl.reporting.markdown.grid import GridConf, make_grid
 from dune_rl.reporting.markdown.pair import PairConf, make_pair
@@ -108,13 +108,13 @@ def make_block(kind: str, settings: str, file: Path, sources: BlockSources) -> s
         raise ConfigError(f"{file}: there is no block {kind!r}; there are {', '.join(_MAKERS)}")
     model, make = _MAKERS[kind]
     try:
-        conf = model.model_validate(yaml.safe_load(settings))
-    except yaml.YAMLError as error:
-        raise ConfigError(f"{file}: the block of {kind} is not YAML: {error}") from None
+        conf = model.model_validate(parse_yaml(settings))
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"]))
         raise ConfigError(f"{file}: the block of {kind}: {where}: {first['msg']}") from None
+    except ValueError as error:
+        raise ConfigError(f"{file}: the block of {kind} is not YAML: {error}") from None
     try:
         return make(conf, sources)
     except ConfigError as error:

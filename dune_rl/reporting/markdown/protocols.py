@@ -5,11 +5,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
-import yaml
 from pydantic import Field
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.settings import Settings
+from dune_rl.core.untrusted_files import parse_yaml
 from dune_rl.metrics.catalogue import Measure, measure_of
 from dune_rl.reporting.markdown.sources import BlockSources, SourceConf, markdown_table
 from dune_rl.reporting.rows import Row, is_number, read_rows
@@ -91,8 +91,8 @@ def _protocol_of(folder: Path, name: str) -> str:
     if not folder.is_dir():
         raise ConfigError(f"there is no folder {name}")
     try:
-        config = yaml.safe_load((folder / "config.yaml").read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        config = parse_yaml((folder / "config.yaml").read_bytes())
+    except (OSError, ValueError) as error:
         raise ConfigError(f"{name}: config.yaml cannot be read ({error})") from None
     protocol = config.get("protocol") if isinstance(config, dict) else None
     if protocol not in _AROUND:

@@ -1,18 +1,17 @@
 """A learnt forecast of tracks: which of them are agents, how fast these move, and where they will be."""
 
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
-from numpy.lib.npyio import NpzFile
 from scipy.special import expit
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.paths import assets_folder
 from dune_rl.core.suggestions import advise
+from dune_rl.core.untrusted_files import load_npz
 from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.geometry.compiled import compile_function
 from dune_rl.geometry.frames import frames_of_poses, into_frames, out_of_frames
@@ -154,14 +153,10 @@ class MotionForecast:
 
 def _read_weights(file: Path) -> Mapping[str, Any]:
     try:
-        with file.open("rb") as data:
-            stored = np.load(data, allow_pickle=False)
-            if not isinstance(stored, NpzFile):
-                raise ValueError("it holds one array")
-            found = {name: stored[name] for name in stored.files}
+        found = load_npz(file)
     except OSError as error:
         raise ConfigError(f"{file} cannot be read as a forecast: {error.strerror or error}") from None
-    except (ValueError, EOFError, BadZipFile, zlib.error):
+    except (ValueError, NotImplementedError, RuntimeError, EOFError, BadZipFile):
         raise ConfigError(f"{file} cannot be read as a forecast: it is no whole file of arrays") from None
     sizes = [FEATURES, *(np.size(found.get(f"bias_{n}", 0.0)) for n in range(_LAYERS - 1)), OUTPUTS]
     shapes: dict[str, tuple[int, ...]] = {"mean": (FEATURES,), "scale": (FEATURES,), "step_s": ()}

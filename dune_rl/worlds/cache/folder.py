@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from dune_rl.core.errors import DuneWarning
 from dune_rl.core.files import write_atomically
+from dune_rl.core.untrusted_files import load_npz
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -43,15 +44,21 @@ class CacheFolder:
         """Path of the entry of a `key`."""
         return self.path / f"{key}{_SUFFIX}"
 
+    def contains(self, key: str) -> bool:
+        """Whether there is an entry of this `key`; False in a folder that cannot be read."""
+        # Unlike Path.exists, which raises where permission is missing.
+        return os.path.exists(self.entry(key))
+
     def read(self, key: str) -> tuple[Any, Arrays] | None:
         """Text (decoded from JSON) and arrays of an entry; None if it is missing or damaged."""
         path = self.entry(key)
         try:
-            # Zip files have a checksum of each array, which is compared on reading.
-            with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-                arrays = {name: archive[name] for name in archive.files}
+            arrays = load_npz(path)
             text = json.loads(arrays.pop(_TEXT).tobytes())
         except FileNotFoundError:
+            return None
+        except OSError as error:
+            self.warn("unreadable", f"{path} cannot be read ({error.strerror or error}) and will be rebuilt")
             return None
         # A damaged file may make the libraries that read it raise anything.
         except Exception as error:
@@ -107,7 +114,7 @@ class DiskCache:
 
     def contains(self, name: str) -> bool:
         """Whether there is an entry of this name."""
-        return self._cache.entry(self._entry(name)).exists()
+        return self._cache.contains(self._entry(name))
 
     def _entry(self, name: str) -> str:
         return hashlib.sha256(f"{self._key} {name}".encode()).hexdigest()

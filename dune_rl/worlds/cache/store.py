@@ -74,7 +74,10 @@ class WorldStore:
         """
         drawn = [conf.drawn() for conf in confs]
         missing = [conf for conf in drawn if not self.is_cached(conf, with_appearance=with_appearance)]
-        if missing and self._builder is not None:
+        if missing and self._builder is not None and self.cache is not None:
+            if (code := self._builder.unexpected_end) is not None:
+                text = f"the background process that builds worlds ended with code {code}; another is started"
+                self.cache.warn("builder", f"{text}, and what it had not built is built when it is needed")
             self._builder.submit(missing, with_appearance)
 
     def is_cached(self, conf: WorldSettings, *, with_appearance: bool = False) -> bool:
@@ -82,7 +85,7 @@ class WorldStore:
         if self.cache is None or conf.disk_cached == "nothing":
             return True
         key = world_key(conf)
-        if conf.disk_cached == "world" and not self.cache.entry(key).exists():
+        if conf.disk_cached == "world" and not self.cache.contains(key):
             return False
         # The key of an imported world's appearance depends on files that only building it determines.
         return (
@@ -213,6 +216,12 @@ class _BackgroundBuilder:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._process: subprocess.Popen[bytes] | None = None
+
+    @property
+    def unexpected_end(self) -> int | None:
+        """Exit code of the last process if it failed or was killed, else None."""
+        code = None if self._process is None else self._process.poll()
+        return None if code in (None, 0, -signal.SIGALRM) else code
 
     def submit(self, confs: Iterable[WorldSettings], with_appearance: bool) -> None:
         """Request worlds, in this order. It neither blocks nor raises."""

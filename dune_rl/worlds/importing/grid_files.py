@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from dune_rl.core.errors import WorldError
-from dune_rl.core.untrusted_files import ImportReport, first_line, open_image, read_bytes, reading
+from dune_rl.core.untrusted_files import ImportReport, first_line, load_npy, open_image, read_bytes, reading
 from dune_rl.geometry.arrays import Array
 
 HEIGHT_FORMATS, SURFACE_FORMATS = (".tif", ".tiff", ".png", ".npy"), (".png", ".npy")
@@ -84,16 +84,9 @@ def read_surface_numbers(path: Path) -> NDArray[np.int64]:
 
 def _load_npy(data: bytes) -> Array:
     """The numbers in an .npy file of limited size; `ValueError` if it has none."""
-    # The header is checked first, since it may claim any size. Pickles, which are code, are not read.
-    file, header = io.BytesIO(data), np.lib.format
-    is_first = header.read_magic(file) == (1, 0)
-    read_header = header.read_array_header_1_0 if is_first else header.read_array_header_2_0
-    shape, _, dtype = read_header(file)
-    if dtype.kind not in "fiu":
-        raise ValueError(f"its values are {dtype}, not numbers")
-    _check_size(shape)
-    file.seek(0)
-    return np.asarray(np.load(file, allow_pickle=False), np.float64)
+    numbers = load_npy(data)
+    _check_size(numbers.shape)
+    return numbers.astype(np.float64)
 
 
 def _read_brightness(image: Image.Image, report: ImportReport) -> Array:

@@ -27,6 +27,7 @@ def avoided(
     return found[0]
 
 
+@pytest.mark.slow
 def test_a_velocity_within_the_half_planes_is_kept_and_others_are_moved_the_least() -> None:
     # To the left of the y axis, walked upwards: x at most 0.
     left = [0.0, 0.0, 0.0, 1.0]
@@ -44,6 +45,7 @@ def test_where_no_velocity_fits_the_violation_is_shared_and_obstacles_hold() -> 
     np.testing.assert_allclose(fitted(apart, [0.9, 0.0], hard=1)[0], -0.2, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_two_agents_head_on_share_the_least_change() -> None:
     # Legs of the velocity obstacle of reach R at distance d: the sine of their angle is R / d.
     position = np.array([[0.0, 0.0], [4.0, 0.0]])
@@ -93,6 +95,7 @@ def test_eight_people_on_a_circle_swap_places_without_touching() -> None:
     assert np.mean(np.concatenate([turns(track[:, agent]) for agent in range(8)]) > np.radians(10.0)) < 0.02
 
 
+@pytest.mark.slow
 def test_people_pass_each_other_in_a_corridor_and_keep_off_its_walls() -> None:
     walls = yard((0.0, 1.2, 0.0, 12.0, 0.4), (0.0, -1.2, 0.0, 12.0, 0.4))
     poses = [[[-4.0, 0.05, 0.0], [4.0, -0.05, np.pi]]]

@@ -29,6 +29,7 @@ def distances(track: np.ndarray, robot: np.ndarray = ROBOT) -> np.ndarray:
     return np.linalg.norm(track[:, 0, 0] - robot, axis=-1)
 
 
+@pytest.mark.slow(all_but=["impassive-orca"])
 @pytest.mark.parametrize("model", ["orca", "social_force"])
 @pytest.mark.parametrize("reaction", ["regular", "impassive", "scared"])
 def test_these_walk_on_to_their_place_past_the_robot(model: str, reaction: str) -> None:
@@ -37,6 +38,7 @@ def test_these_walk_on_to_their_place_past_the_robot(model: str, reaction: str) 
     assert distances(track).min() > RADIUS_M + ROBOT_REACH_M
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["orca", "social_force"])
 def test_the_scared_keep_farther_off_than_the_regular(model: str) -> None:
     scared, regular = (
@@ -54,6 +56,7 @@ def test_the_surprised_stop_and_look_at_the_robot(model: str) -> None:
     assert abs(wrap_angle(np.arctan2(offset[1], offset[0]) - stage.headings[0, 0])) < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["orca", "social_force"])
 def test_the_curious_come_near_slowly_and_stop_at_a_distance(model: str) -> None:
     track = person(model, "curious", place=(0.0, -8.0)).run(12.0)

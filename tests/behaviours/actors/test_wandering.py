@@ -9,6 +9,7 @@ SPREAD = np.array([[[-7.0, -4.0, 0.0], [-3.0, -3.0, 1.0], [2.0, 4.0, 2.0], [6.0,
 OWN_WAY = ["random_waypoint", "herd", "social_force", "orca"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OWN_WAY)
 def test_the_same_seed_gives_the_same_bytes_and_another_one_another_way(name: str) -> None:
     first, again, other = (Stage({"name": name}, SPREAD, seed=seed).run(8.0) for seed in (1, 1, 2))
@@ -16,6 +17,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_one_another_way(name: st
     assert np.abs(first - other).max() > 0.1
 
 
+@pytest.mark.slow(all_but=["social_force"])
 @pytest.mark.parametrize("name", [*OWN_WAY, "crossing", "follow", "flee"])
 def test_a_scene_among_others_goes_as_it_does_alone(name: str) -> None:
     shifts = np.array([[[0.0, 0.0, 0.0]], [[0.5, 0.0, 0.0]], [[0.0, -0.5, 0.0]]])
@@ -26,6 +28,7 @@ def test_a_scene_among_others_goes_as_it_does_alone(name: str) -> None:
     np.testing.assert_allclose(together[:, 1], alone[:, 0], atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["random_waypoint", "orca"])
 def test_random_places_are_reached_round_no_corner(name: str) -> None:
     stage = Stage({"name": name, "pause_s": [0.0, 0.5]}, SPREAD, world=yard(*BOXES))
@@ -61,6 +64,7 @@ def test_members_of_a_patrol_begin_at_different_places() -> None:
     assert track[-1, 0, 0] < -1.5 and track[-1, 1, 0] > 1.5
 
 
+@pytest.mark.slow
 def test_a_herd_gathers_stays_together_and_comes_along() -> None:
     draws = np.random.default_rng(0)
     poses = np.concatenate(
@@ -83,6 +87,7 @@ def test_a_herd_runs_from_a_robot() -> None:
     assert np.linalg.norm(track[-1, 0] - robot, axis=-1).min() > 1.0
 
 
+@pytest.mark.slow(all_but=["start1-1.5"])
 @pytest.mark.parametrize("ttc", [1.5, 3.0])
 @pytest.mark.parametrize("start", [(5.0, 3.0), (6.0, -4.0), (2.0, 2.0)])
 def test_the_way_is_cut_at_the_time_to_contact(ttc: float, start: tuple[float, float]) -> None:

@@ -28,6 +28,7 @@ def test_a_row_does_not_depend_on_the_other_rows(driver) -> None:
         np.testing.assert_array_equal(drive(driver(1), alone, 40, discs)[:, 0], tracks[:, row])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("driver", [Planner, Mppi])
 def test_a_reset_begins_anew(driver) -> None:
     tracks = []

@@ -47,6 +47,7 @@ def judged(simulation: VectorSimulation, steps: int, **others: Any) -> tuple[np.
     return read, judge.costs(COMMANDS, CAP_M)[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("yaw", YAWS)
 def test_it_agrees_with_dwa_where_nothing_is(yaw: float) -> None:
     simulation = simulation_with(yaw)
@@ -67,6 +68,7 @@ def test_it_knows_a_wall_that_the_lidar_does_not_see(yaw: float, wall: Any) -> N
     simulation.close()
 
 
+@pytest.mark.slow(all_but=["True-0.0"])
 @pytest.mark.parametrize("yaw", YAWS)
 @pytest.mark.parametrize("leaves", [False, True])
 def test_it_knows_walkers_that_the_lidar_does_not_see(yaw: float, leaves: bool) -> None:

@@ -26,6 +26,7 @@ def places_of(simulation: VectorSimulation, steps: int) -> np.ndarray:
     return np.stack(found, axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", ["{}", "{pauses_s: 0.3, length_range_m: [1.5, 2.5]}", "{mode: once}"])
 def test_forecasts_are_where_walkers_go(path: str) -> None:
     walker = f"{{body: person, count: 3, path: {path}, controller: path}}"

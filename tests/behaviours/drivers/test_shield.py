@@ -32,6 +32,7 @@ def drive_on(command: list[float], discs: np.ndarray, steps: int = 80) -> np.nda
     return np.array(poses)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("speed", [1.0, -1.0])
 def test_a_body_does_not_touch_what_is_in_its_way(speed: float) -> None:
     post = POST * [np.sign(speed), 1.0, 1.0]
@@ -71,6 +72,7 @@ def test_a_body_does_not_drive_into_a_walker_who_crosses_its_way() -> None:
     assert gap(shielded=False) < 0.0 < gap(shielded=True)
 
 
+@pytest.mark.slow
 def test_go_to_goal_under_the_shield_does_not_touch_the_wall_that_it_would_hit() -> None:
     world = plain(box(2.0, 0.0, 0.2, 6.0, 1.0))
     collided = {}

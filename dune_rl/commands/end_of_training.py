@@ -1,0 +1,79 @@
+"""The end of a training: a film of the best policy, and what to do next."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+
+from dune_rl.config.commands import ViewConf
+from dune_rl.config.schema import Conf, EnvConf
+from dune_rl.robots.settings import RobotSettings
+
+if TYPE_CHECKING:
+    from dune_rl.learning.trainer import TrainingResult
+
+FILM_FILE = "film.mp4"
+
+
+def film_run(console: Console, conf: Conf, result: "TrainingResult") -> None:
+    """Write the film of the best policy in the first episode of the run's evaluations."""
+    from dune_rl.learning.run.tensorboard import log_film
+    from dune_rl.reporting.views.episode import EpisodeView, write_video
+
+    environment = {name: getattr(conf, name) for name in EnvConf.model_fields}
+    view = ViewConf(
+        **environment,
+        checkpoint=str(result.run_dir),
+        seed=conf.seed + conf.learning.evaluation.seed_offset,
+        width=640,
+        height=360,
+        samples=1,
+    )
+    console.print("Filming an episode of the trained policy", highlight=False)
+    episode = EpisodeView(view)
+    pictures: list[NDArray[np.uint8]] = []
+    try:
+        write_video(episode, result.run_dir / FILM_FILE, console, pictures.append)
+    finally:
+        episode.close()
+    log_film(result.run_dir, pictures, view.frames_per_s, result.frames)
+
+
+def show_end(console: Console, conf: Conf, result: "TrainingResult") -> None:
+    """Print the last evaluation, the files in the run's folder, and commands to go on with."""
+    from dune_rl.evaluation.tables import metric_notes, results_table
+    from dune_rl.learning.policies import go_to_goal_fault
+    from dune_rl.statistics.measures import estimate_metrics
+
+    for group, rows in result.evaluation.items():
+        name = f"{conf.world.name}, {group}" if len(result.evaluation) > 1 else conf.world.name
+        episodes = conf.learning.evaluation.episodes
+        title = f"{name}: {episodes} unseen episodes after {result.frames:,} frames"
+        estimates = estimate_metrics(rows)
+        notes = metric_notes(conf.metrics, estimates)
+        table = results_table({"trained": estimates}, title, num_agents=len(rows) // episodes, notes=notes)
+        console.print(table)
+    lines = [f"Files in {result.run_dir}:"]
+    lines += [
+        f"  {path.name}"
+        for path in sorted(result.run_dir.iterdir())
+        if path.suffix in (".png", ".mp4", ".csv", ".pt")
+    ]
+    can_go = all(go_to_goal_fault(spec) is None for spec in result.specs.values())
+    reference = "go_to_goal" if can_go else "random"
+    further = 2 * max(conf.total_frames, result.frames)
+    lines += [
+        "Try next:",
+        f"  python -m dune_rl.view checkpoint={result.run_dir}",
+        f"  python -m dune_rl.evaluate checkpoint={result.run_dir} episodes=100 seed=1",
+        f"  python -m dune_rl.evaluate checkpoint={result.run_dir} against={reference} episodes=100 seed=1",
+        f"  tensorboard --logdir {result.run_dir.parent}",
+        f"  python -m dune_rl.train resume={result.run_dir} total_frames={further}",
+    ]
+    if any(not isinstance(group.body, RobotSettings) for group in conf.external_groups):
+        lines.append(
+            f"  python -m dune_rl.evaluate cross_play=true checkpoint={result.run_dir} "
+            f"'populations=[walkers,{result.run_dir}]' episodes=100 seed=1"
+        )
+    console.print("\n".join(lines), highlight=False, markup=False, soft_wrap=True)

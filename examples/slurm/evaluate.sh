@@ -1,0 +1,24 @@
+#!/bin/bash
+# An array job that evaluates each policy on each set, the policies first:
+#   sbatch --array=0-3 evaluate.sh "checkpoint=runs/NAME policy=dwa" "set=flat-v1 set=inspection-v1" evaluations/NAME
+#SBATCH --job-name=dune_rl_evaluate
+#SBATCH --cpus-per-task=4
+#SBATCH --mem=8G
+#SBATCH --time=08:00:00
+#SBATCH --requeue
+#SBATCH --open-mode=append
+#SBATCH --output=slurm_%A_%a.txt
+
+read -ra policies <<<"$1"
+read -ra sets <<<"$2"
+policy=${policies[SLURM_ARRAY_TASK_ID % ${#policies[@]}]}
+set=${sets[SLURM_ARRAY_TASK_ID / ${#policies[@]}]}
+out=$3/$SLURM_ARRAY_TASK_ID
+
+if [ -e "$out/provenance.json" ]; then
+    words=(resume="$out")
+else
+    words=("$policy" "$set" out="$out" "${@:4}")
+fi
+srun --cpus-per-task="$SLURM_CPUS_PER_TASK" \
+    python -m dune_rl.evaluate "${words[@]}" processes="$SLURM_CPUS_PER_TASK"

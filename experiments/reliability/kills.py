@@ -1,0 +1,245 @@
+"""Training runs that are ended at random moments, and resumed: does each end as an unbroken run does?
+
+`python experiments/reliability/kills.py FOLDER` adds to `FOLDER/kills.csv` the rows that it lacks, one for
+each run: 34 are killed at any moment, 16 amid a save (from a moment on, as soon as the run's folder has a
+temporary file), 10 get SIGTERM, and 10 SIGINT twice. A moment is a share of the processor time of an unbroken
+run, so that it hardly depends on what else the machine does. A run is a fork of this process, which has
+loaded the libraries, and does what `python -m dune_rl.train ... resume=auto` does from there on, both times.
+"""
+
+import csv
+import os
+import re
+import shutil
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+
+# Before NumPy and PyTorch are loaded, which read them.
+os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"))
+
+import numpy as np
+import torch
+from faults import commit
+
+from dune_rl import train
+from dune_rl.commands import train as _command  # noqa: F401
+from dune_rl.learning import trainer as _loaded_once  # noqa: F401
+from dune_rl.learning.checkpoint import CHECKPOINT_FILE
+
+# In batches of 4 scenes, 16 steps of each.
+_TOTAL_FRAMES, _BATCH_FRAMES = 3072, 64
+SETTINGS = (
+    "+world=flat",
+    "seed=1",
+    f"total_frames={_TOTAL_FRAMES}",
+    "film=false",
+    "task.terminations.time_limit.max_steps=60",
+    "learning.learning_starts=512",
+    "learning.batch_size=64",
+    "learning.hidden=[64,64]",
+    "learning.precision=float32",
+    "learning.collector.mode=serial",
+    "learning.collector.scenes=4",
+    "learning.collector.steps=16",
+    "learning.evaluation.every_frames=1024",
+    "learning.evaluation.episodes=2",
+    "learning.checkpoint.every_frames=128",
+)
+_SEED = 20
+_POLL_S = 0.0005
+_TICKS_PER_S = os.sysconf("SC_CLK_TCK")
+
+
+# How runs are ended, and how many.
+ENDINGS = {"SIGKILL": 34, "SIGKILL amid a save": 16, "SIGTERM": 10, "SIGINT twice": 10}
+_NUMBERS = {"SIGTERM": signal.SIGTERM, "SIGINT twice": signal.SIGINT}
+_BETWEEN_S = 0.1
+# An end that takes longer is taken for none.
+_PATIENCE_S = 300.0
+
+
+@dataclass
+class Kill:
+    """A row of `kills.csv`.
+
+    `moment` is the share of the unbroken run's processor time at which the run was ended, or from which on a
+    save was waited for; `exit_code` is that of the ended run, `-N` by signal N, and `took_s` the seconds
+    until it had ended. `temporary` are the temporary files of saves that it left, `saved_frames` the frames
+    of the checkpoint that it left, 0 without one and -1 where it cannot be read; `resumed` is the exit code
+    of the resumed run, and `resumed_at` the frames that it had before its first batch.
+    `weights_equal` says whether its policies, critics and optimiser are the unbroken run's bit for bit,
+    `metrics_equal` whether its metrics.csv is; `left` are the temporary and replay files in its folder at the
+    end that its checkpoint does not name. `commit` is that of the code, with "+" where files
+    differed from it.
+    """
+
+    number: int
+    ending: str
+    moment: float
+    exit_code: int
+    took_s: float
+    temporary: str
+    saved_frames: int = 0
+    resumed: int = 0
+    resumed_at: int = 0
+    weights_equal: int = 0
+    metrics_equal: int = 0
+    left: str = ""
+    commit: str = ""
+
+
+def start(words: Sequence[str], log: Path) -> int:
+    """Fork a process that trains as the command line `words` say; returns its id."""
+    child = os.fork()
+    if child:
+        return child
+    code = 1
+    try:
+        output = os.open(log, os.O_CREAT | os.O_WRONLY | os.O_APPEND)
+        os.dup2(output, 1)
+        os.dup2(output, 2)
+        sys.argv[1:] = words
+        train.main()
+    except SystemExit as error:
+        code = error.code if isinstance(error.code, int) else 1
+    except KeyboardInterrupt:
+        # As Python ends where nothing has begun.
+        code = 128 + signal.SIGINT
+    finally:
+        sys.stdout.flush()
+        os._exit(code)
+
+
+def run(
+    words: Sequence[str],
+    log: Path,
+    ending: str | None = None,
+    is_due: Callable[[int], bool] = lambda child: False,
+) -> tuple[int, float, float]:
+    """The exit code of a run, its processor time [s], and the time from its `ending` on [s].
+
+    It is ended as soon as `is_due` says so of its process.
+    """
+    child = start(words, log)
+    ended_at = None
+    while True:
+        done, status, used = os.wait4(child, os.WNOHANG)
+        now = time.monotonic()
+        if done:
+            took_s = 0.0 if ended_at is None else now - ended_at
+            return os.waitstatus_to_exitcode(status), used.ru_utime + used.ru_stime, took_s
+        if ended_at is None and ending is not None and is_due(child):
+            ended_at = now
+            os.kill(child, _NUMBERS.get(ending, signal.SIGKILL))
+            if ending == "SIGINT twice":
+                time.sleep(_BETWEEN_S)
+                os.kill(child, signal.SIGINT)
+        if ended_at is not None and now - ended_at > _PATIENCE_S:
+            os.kill(child, signal.SIGKILL)
+        time.sleep(_POLL_S)
+
+
+def processor_time(process: int) -> float:
+    """What a process has used so far [s]."""
+    words = Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()
+    return (int(words[11]) + int(words[12])) / _TICKS_PER_S
+
+
+def temporary_files(folder: Path) -> list[str]:
+    names = os.listdir(folder) if folder.is_dir() else []
+    return sorted(name for name in names if name.startswith(".") and name.endswith(".tmp"))
+
+
+def state_of(folder: Path) -> list[torch.Tensor]:
+    """All tensors of the learners in a run's checkpoint."""
+    content = torch.load(folder / CHECKPOINT_FILE, weights_only=True)
+    leaves = torch.utils._pytree.tree_leaves([entry["learner"] for entry in content["groups"].values()])
+    return [leaf for leaf in leaves if isinstance(leaf, torch.Tensor)]
+
+
+def end_and_resume(number: int, ending: str, folder: Path, unbroken: Path, whole_s: float) -> Kill:
+    amid_save = ending == "SIGKILL amid a save"
+    rng = np.random.default_rng([_SEED, number])
+    words, log = [*SETTINGS, f"run_dir={folder}", "resume=auto"], folder.with_suffix(".log")
+    code, moment, took_s = 0, 0.0, 0.0
+    # A run that came to its end before its moment, so that nothing was sent to it, is begun anew.
+    while took_s == 0.0:
+        shutil.rmtree(folder, ignore_errors=True)
+        log.unlink(missing_ok=True)
+        moment = float(rng.uniform(0.0, 0.95))
+
+        def is_due(child: int, least_s: float = moment * whole_s) -> bool:
+            return processor_time(child) >= least_s and (not amid_save or bool(temporary_files(folder)))
+
+        code, _, took_s = run(words, log, ending, is_due)
+    temporary = " ".join(temporary_files(folder))
+    row = Kill(number, ending, round(moment, 4), int(code), round(took_s, 2), temporary)
+    if (folder / CHECKPOINT_FILE).exists():
+        try:
+            row.saved_frames = torch.load(folder / CHECKPOINT_FILE, weights_only=True)["counters"]["frames"]
+        except (OSError, RuntimeError, ValueError, KeyError):
+            row.saved_frames = -1
+    log.unlink()
+    row.resumed, _, _ = run(words, log)
+    # It says so after the first batch, or in an evaluation that was cut off and comes before; only a run that
+    # was saved at its end has none left.
+    first = re.search(r"^(evaluat)?.*?([\d,]+) of [\d,]+ frames", log.read_text(), re.MULTILINE)
+    if first is None:
+        row.resumed_at = _TOTAL_FRAMES
+    else:
+        row.resumed_at = int(first[2].replace(",", "")) - (0 if first[1] else _BATCH_FRAMES)
+    if row.resumed == 0:
+        whole = state_of(unbroken)
+        assert whole, "a checkpoint without weights compares nothing"
+        pairs = zip(state_of(folder), whole, strict=True)
+        row.weights_equal = int(all(torch.equal(*pair) for pair in pairs))
+        metrics = "metrics.csv"
+        row.metrics_equal = int((folder / metrics).read_bytes() == (unbroken / metrics).read_bytes())
+        named = {path.name for path in unbroken.glob("replay-*")}
+        replays = [path.name for path in folder.glob("replay-*") if path.name not in named]
+        row.left = " ".join([*temporary_files(folder), *replays])
+    row.commit = commit()
+    return row
+
+
+def main() -> None:
+    if len(sys.argv) != 2:
+        sys.exit(__doc__)
+    # Shells start background jobs with Ctrl-C ignored, and the runs would inherit that.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    folder = Path(sys.argv[1]).absolute()
+    folder.mkdir(parents=True, exist_ok=True)
+    runs, table = Path(tempfile.mkdtemp(prefix="kills-")), folder / "kills.csv"
+    try:
+        # The first one also loads and compiles what the others find.
+        for _ in range(2):
+            shutil.rmtree(runs / "unbroken", ignore_errors=True)
+            code, whole_s, _ = run([*SETTINGS, f"run_dir={runs / 'unbroken'}"], runs / "unbroken.log")
+        if code:
+            sys.exit(f"The unbroken run ended with exit code {code}:\n{(runs / 'unbroken.log').read_text()}")
+        columns = [each.name for each in fields(Kill)]
+        if table.exists() and table.read_text().partition("\n")[0].split(",") != columns:
+            sys.exit(f"{table} has other columns than this script writes: move it away, and begin anew")
+        endings = [ending for ending, count in ENDINGS.items() for _ in range(count)]
+        done = {int(row["number"]) for row in csv.DictReader(table.open())} if table.exists() else set()
+        for number, ending in enumerate(endings):
+            if number in done:
+                continue
+            row = end_and_resume(number, ending, runs / "ended", runs / "unbroken", whole_s)
+            with table.open("a", newline="") as file:
+                writer = csv.DictWriter(file, columns, lineterminator="\n")
+                if not file.tell():
+                    writer.writeheader()
+                writer.writerow(asdict(row))
+            print(row, flush=True)
+    finally:
+        shutil.rmtree(runs, ignore_errors=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,105 @@
+"""Prints the tables of the pages of this folder (`experiments/reliability/*.md`)."""
+
+import csv
+from pathlib import Path
+
+from combinations import DESIGNS
+
+_COMPARED = ("again", "scenes", "restored")
+_COUNTS = ("steps", *_COMPARED, *(f"{name}_of" for name in _COMPARED))
+# Of a run of kills.py.
+_TOTAL_FRAMES = 3072
+_SUMS = ("steps", "episodes", "cpu_s", "nan", "fallen", "diverged")
+
+
+def determinism_table(folder: Path) -> str:
+    """A Markdown table with a row for each design that was driven."""
+    lines = [
+        "| design | combinations | refused | steps | differ in the same process "
+        "| in another one, three scenes | after a restored state |",
+        "|---|---:|---:|---:|---:|---:|---:|",
+    ]
+    for design in DESIGNS:
+        rows = _rows(folder / f"determinism_{design}.csv")
+        total = {name: sum(int(row[name]) for row in rows) for name in _COUNTS}
+        cells = [f"{len(rows)} of {len(DESIGNS[design]())}", sum(bool(row["fault"]) for row in rows)]
+        cells += [f"{total['steps']:,}"]
+        cells += [f"{total[name]} of {total[name + '_of']:,}" for name in _COMPARED]
+        if rows:
+            lines.append(f"| `{design}` | {' | '.join(map(str, cells))} |")
+    return "\n".join(lines)
+
+
+def soak_table(folder: Path) -> str:
+    """A Markdown table with a row for each segment."""
+    rows = _rows(folder / "soak.csv")
+    lines = [
+        "| segment | turns | refused | steps | episodes | memory after a tenth | at the end | open files "
+        "| child processes | not finite | below the ground | diverged | steps per s of processor time |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
+    ]
+    for number in dict.fromkeys(row["segment"] for row in rows):
+        own = [row for row in rows if row["segment"] == number]
+        total = {name: sum(float(row[name]) for row in own) for name in _SUMS}
+        held = [float(row["rss_mib"]) for row in own]
+        cells = [f"{number}, {own[0]['engine']}", len(own), sum(bool(row["fault"]) for row in own)]
+        cells += [f"{total['steps']:,.0f}", f"{total['episodes']:,.0f}"]
+        cells += [f"{held[len(held) // 10]:.0f} MiB", f"{held[-1]:.0f} MiB"]
+        cells += [_range(own, "files"), _range(own, "processes")]
+        cells += [f"{total[name]:.0f}" for name in ("nan", "fallen", "diverged")]
+        cells += [f"{total['steps'] / max(total['cpu_s'], 1e-9):.0f}"]
+        lines.append(f"| {' | '.join(map(str, cells))} |")
+    return "\n".join(lines)
+
+
+def kills_table(folder: Path) -> str:
+    """A Markdown table with a row for each way in which runs were ended."""
+    lines = [
+        "| ended by | exit code | runs | before the first save | with a temporary file "
+        "| longest time from signal to exit | went on from the save | had come to its end "
+        "| ended with code 0 | equal weights | equal `metrics.csv` | runs with files left over |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
+    ]
+    rows = _rows(folder / "kills.csv")
+    for ending in dict.fromkeys(row["ending"] for row in rows):
+        own = [row for row in rows if row["ending"] == ending]
+        codes = " or ".join(dict.fromkeys(row["exit_code"] for row in own))
+        cells: list[object] = [codes, len(own), sum(row["saved_frames"] == "0" for row in own)]
+        cells += [sum(bool(row["temporary"]) for row in own)]
+        cells += [
+            f"{max(float(row['took_s']) for row in own):.1f} s",
+            sum(0 < int(row["saved_frames"]) == int(row["resumed_at"]) < _TOTAL_FRAMES for row in own),
+            sum(int(row["saved_frames"]) == _TOTAL_FRAMES for row in own),
+            sum(row["resumed"] == "0" for row in own),
+        ]
+        cells += [sum(int(row[name]) for row in own) for name in ("weights_equal", "metrics_equal")]
+        cells += [sum(bool(row["left"]) for row in own)]
+        lines.append(f"| {ending} | {' | '.join(map(str, cells))} |")
+    return "\n".join(lines)
+
+
+def faults_table(folder: Path) -> str:
+    """A Markdown table with a row for each fault."""
+    lines = [
+        "| fault | exit code | seconds from the fault to the end | last line | called again |",
+        "|---|---:|---:|---|---|",
+    ]
+    for row in _rows(folder / "faults.csv"):
+        again = {"": "", "0": "goes on to its end"}.get(row["resumed"], f"exit code {row['resumed']}")
+        said = f"`{row['said']}`" if row["said"] else ""
+        lines.append(f"| {row['fault']} | {row['exit_code']} | {row['after_s']} | {said} | {again} |")
+    return "\n".join(lines)
+
+
+def _range(rows: list[dict[str, str]], name: str) -> str:
+    numbers = [int(row[name]) for row in rows]
+    return f"{min(numbers)} to {max(numbers)}" if min(numbers) < max(numbers) else str(numbers[0])
+
+
+def _rows(path: Path) -> list[dict[str, str]]:
+    return list(csv.DictReader(path.read_text().splitlines())) if path.exists() else []
+
+
+if __name__ == "__main__":
+    folder = Path(__file__).parent
+    print(*(make(folder) for make in (determinism_table, soak_table, kills_table, faults_table)), sep="\n\n")

@@ -1,0 +1,78 @@
+"""Training that collects on a Ray cluster: nodes that die amid it, and machines without Ray."""
+
+import math
+import signal
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from ray_nodes import kill_node, ray_nodes
+from training import small, trainer
+
+from dune_rl.commands.train import train
+from dune_rl.config.compose import compose
+from dune_rl.config.schema import Conf
+from dune_rl.core.errors import ConfigError, TrainingError
+from dune_rl.learning.run.progress import Reporter, TrainingStatus
+from dune_rl.learning.settings import CollectorConf, EvaluationConf
+
+
+class Watcher(Reporter):
+    """Kills a node once there are frames, and ends the run in order 64 frames after it got a line."""
+
+    def __init__(self, node: Any) -> None:
+        self.lines: list[str] = []
+        self._node, self._frames, self._until = node, 0, math.inf
+
+    def update(self, status: TrainingStatus) -> None:
+        if self._node is not None:
+            kill_node(self._node)
+            self._node = None
+        if status.frames >= self._until:
+            signal.raise_signal(signal.SIGTERM)
+            self._until = math.inf
+        self._frames = status.frames
+
+    def note(self, line: str) -> None:
+        if "no batch from Ray workers" in line:
+            # A machine that is busy.
+            return
+        if not self.lines:
+            self._until = self._frames + 64
+        self.lines.append(line)
+
+
+@pytest.mark.slow
+def test_a_node_that_dies_costs_a_line_and_the_last_one_ends_the_run_saved(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    learning = small(
+        learning_starts=0,
+        collector=CollectorConf(mode="ray", workers=2, scenes=4, steps=4),
+        evaluation=EvaluationConf(every_frames=10**8, episodes=1),
+    )
+    with ray_nodes(monkeypatch, 2) as (head, other):
+        watcher = Watcher(other)
+        result = trainer(tmp_path / "run", learning, reporter=watcher, total_frames=10**8).train()
+        assert result.signal == signal.SIGTERM
+        lost, stopped = watcher.lines
+        assert lost == "note: a Ray worker was lost with the frames under way; training goes on with 1 of 2"
+        assert stopped.startswith("Stopping")
+        more = {"resume": tmp_path / "run", "total_frames": 10**8}
+        again = trainer(tmp_path / "run", learning, reporter=Watcher(head), **more)
+        assert again.frames == result.frames >= 64
+        with pytest.raises(TrainingError, match=r"Ray.*\nAll is saved at [\d,]+ frames; go on with resume="):
+            again.train()
+    assert trainer(tmp_path / "run", learning, **more).frames == again.frames > result.frames
+
+
+def test_without_ray_the_command_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    conf = compose(Conf, ["+world=flat", "learning.collector.mode=ray", f"run_dir={tmp_path / 'run'}"])
+    with pytest.raises(ConfigError) as refused:
+        train(conf)
+    assert str(refused.value) == "learning.collector.mode=ray needs Ray: pip install 'dune_rl[ray]'"
+    assert not (tmp_path / "run").exists()
