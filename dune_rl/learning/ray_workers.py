@@ -166,9 +166,9 @@ class RayWorkers:
         self._start_worker()
 
     def _tell_losses(self) -> None:
-        which = "a Ray worker was lost" if self._untold == 1 else f"{self._untold} Ray workers were lost"
-        left = min(self._workers, self._cluster.cpus())
-        self._note(
-            f"note: {which} with the frames under way; training goes on with {left} of {self._workers}"
-        )
+        # How many are left is not told: for seconds a cluster counts a node that has died.
+        lost, others = ("a Ray worker was", "another one begins")
+        if self._untold > 1:
+            lost, others = (f"{self._untold} Ray workers were", "others begin")
+        self._note(f"note: {lost} lost with the frames under way; {others} where a CPU is free")
         self._untold = 0

@@ -12,6 +12,8 @@ Key = TypeVar("Key")
 Result = TypeVar("Result")
 
 _STDERR_DESCRIPTOR = 2
+# Of glibc alone.
+_malloc_trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
 
 
 @contextmanager
@@ -39,10 +41,8 @@ def suppress_stderr() -> Iterator[None]:
 
 def return_free_memory() -> None:
     """Return freed memory to the operating system, where the C library has `malloc_trim` (glibc)."""
-    if sys.platform == "linux":
-        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
-        if trim is not None:
-            trim(0)
+    if _malloc_trim is not None:
+        _malloc_trim(0)
 
 
 def share_by_identity(make: Callable[[Key], Result]) -> Callable[[Key], Result]:
