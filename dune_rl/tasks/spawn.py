@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
 from dune_rl.core.errors import WorldError
@@ -248,18 +249,16 @@ class Spawner:
         The start is at least `apart_m` from the start of each `taken` placement,
         and the goal from its goal. Raises WorldError where no place is left.
         """
-        starts, cells = self._starts, self.cells
-        if taken:
-            starts = self._away(starts, [(one.x, one.y) for one in taken], apart_m)
-            cells = self._away(cells, [(one.goal_x, one.goal_y) for one in taken], apart_m)
-        cell = starts[rng.integers(len(starts))]
-        draws = rng.integers(len(cells), size=_GOAL_TRIES)
+        starts = self._near(self._starts, [(one.x, one.y) for one in taken], apart_m)
+        near = self._near(self.cells, [(one.goal_x, one.goal_y) for one in taken], apart_m)
+        cell = self._starts[_left_over(starts, rng.integers(len(self._starts) - len(starts)))]
+        draws = _left_over(near, rng.integers(len(self.cells) - len(near), size=_GOAL_TRIES))
         yaw = rng.uniform(-np.pi, np.pi)
         moves = rng.uniform(-0.5, 0.5, (2, 2)) * self.free_space.cell_m
-        goals = cells[draws]
+        goals = self.cells[draws]
         far = np.flatnonzero(self._far(goals, cell))
         if not len(far):
-            goals = cells
+            goals = np.delete(self.cells, near, axis=0)
             far = self._far_or_nearest(goals, cell, len(taken))
             far = far[rng.integers(len(far), size=1)]
         centres = np.stack([cell, goals[far[0]]])
@@ -300,15 +299,19 @@ class Spawner:
         near: Array = np.minimum(excess, self._most_goal_distance_m - distance[:, 0])
         return near
 
-    def _away(self, cells: Array, points: Sequence[tuple[float, float]], apart_m: Sequence[float]) -> Array:
-        free = np.ones(len(cells), bool)
-        # From anywhere in a cell.
-        corner = self.free_space.cell_m / np.sqrt(2)
-        for point, apart in zip(points, apart_m, strict=True):
-            free &= np.hypot(*(cells - point).T) >= apart + corner
-        if not free.any():
+    def _near(self, cells: Array, points: Sequence[tuple[float, float]], apart_m: Sequence[float]) -> Counts:
+        """Sorted indices of the `cells` within `apart_m` of one of `points`; raises WorldError if all are."""
+        found = [np.zeros(0, np.int64)]
+        for (x, y), apart in zip(points, apart_m, strict=True):
+            # From anywhere in a cell. They are in rows of rising y.
+            reach = apart + self.free_space.cell_m / np.sqrt(2)
+            first, last = np.searchsorted(cells[:, 1], (y - reach, y + reach))
+            rows = cells[first:last]
+            found.append(first + np.flatnonzero(np.hypot(rows[:, 0] - x, rows[:, 1] - y) < reach))
+        near = np.unique(np.concatenate(found))
+        if len(near) == len(cells):
             raise WorldError(self._too_full(len(points)))
-        return cells[free]
+        return near
 
     def why_not(self, x: float, y: float) -> str:
         """Why a robot cannot be at a point, in words that follow it; empty where it can."""
@@ -398,3 +401,9 @@ class Spawner:
 
 def _rectangle(region: Rectangle) -> str:
     return "({:g}, {:g}, {:g}, {:g})".format(*region)
+
+
+def _left_over(removed: Counts, numbers: ArrayLike) -> Counts:
+    """Indices of the entries with these `numbers` among those that the sorted indices `removed` leave."""
+    before = np.searchsorted(removed - np.arange(len(removed)), numbers, side="right")
+    return np.asarray(numbers) + before

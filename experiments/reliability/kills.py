@@ -1,8 +1,8 @@
 """Training runs that are ended at random moments, and resumed: does each end as an unbroken run does?
 
 `python experiments/reliability/kills.py FOLDER` adds to `FOLDER/kills.csv` the rows that it lacks, one for
-each run: 34 are killed at any moment, 16 amid a save (from a moment on, as soon as the run's folder has a
-temporary file), 10 get SIGTERM, and 10 SIGINT twice. A moment is a share of the processor time of an unbroken
+each run: 34 are killed at any moment, 16 amid the save of a file (from a moment on, as soon as the run's
+folder has the temporary file of that), 10 get SIGTERM, and 10 SIGINT twice. A moment is a share of the processor time of an unbroken
 run, so that it hardly depends on what else the machine does. A run is a fork of this process, which has
 loaded the libraries, and does what `python -m dune_rl.train ... resume=auto` does from there on, both times.
 """
@@ -29,7 +29,8 @@ from faults import commit
 from dune_rl import train
 from dune_rl.commands import train as _command  # noqa: F401
 from dune_rl.learning import trainer as _loaded_once  # noqa: F401
-from dune_rl.learning.checkpoint import CHECKPOINT_FILE
+from dune_rl.learning.checkpoint import BEST_POLICY_FILE, CHECKPOINT_FILE, LAST_POLICY_FILE
+from dune_rl.learning.run.log import CURVE_FILE, METRICS_FILE
 
 # In batches of 4 scenes, 16 steps of each.
 _TOTAL_FRAMES, _BATCH_FRAMES = 3072, 64
@@ -50,13 +51,22 @@ SETTINGS = (
     "learning.evaluation.episodes=2",
     "learning.checkpoint.every_frames=128",
 )
+_POLICY_FILES, _METRICS_FILES = (BEST_POLICY_FILE, LAST_POLICY_FILE), (METRICS_FILE, CURVE_FILE)
 _SEED = 20
 _POLL_S = 0.0005
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
 
 # How runs are ended, and how many.
-ENDINGS = {"SIGKILL": 34, "SIGKILL amid a save": 16, "SIGTERM": 10, "SIGINT twice": 10}
+_AMID = "SIGKILL amid "
+ENDINGS = {
+    "SIGKILL": 34,
+    f"{_AMID}{CHECKPOINT_FILE}": 6,
+    f"{_AMID}{LAST_POLICY_FILE}": 5,
+    f"{_AMID}{BEST_POLICY_FILE}": 5,
+    "SIGTERM": 10,
+    "SIGINT twice": 10,
+}
 _NUMBERS = {"SIGTERM": signal.SIGTERM, "SIGINT twice": signal.SIGINT}
 _BETWEEN_S = 0.1
 # An end that takes longer is taken for none.
@@ -73,7 +83,8 @@ class Kill:
     of the checkpoint that it left, 0 without one and -1 where it cannot be read; `resumed` is the exit code
     of the resumed run, and `resumed_at` the frames that it had before its first batch.
     `weights_equal` says whether its policies, critics and optimiser are the unbroken run's bit for bit,
-    `metrics_equal` whether its metrics.csv is; `left` are the temporary and replay files in its folder at the
+    `metrics_equal` whether its metrics.csv and its curve.png are, and `files_equal` whether the weights of its
+    policy_best.pt and policy_last.pt are; `left` are the temporary and replay files in its folder at the
     end that its checkpoint does not name. `commit` is that of the code, with "+" where files
     differed from it.
     """
@@ -89,6 +100,7 @@ class Kill:
     resumed_at: int = 0
     weights_equal: int = 0
     metrics_equal: int = 0
+    files_equal: int = 0
     left: str = ""
     commit: str = ""
 
@@ -150,20 +162,35 @@ def processor_time(process: int) -> float:
     return (int(words[11]) + int(words[12])) / _TICKS_PER_S
 
 
-def temporary_files(folder: Path) -> list[str]:
+def temporary_files(folder: Path, of: str = "") -> list[str]:
+    """The names of the temporary files in a run's folder, or of those of the file `of`."""
     names = os.listdir(folder) if folder.is_dir() else []
-    return sorted(name for name in names if name.startswith(".") and name.endswith(".tmp"))
+    return sorted(name for name in names if name.startswith(f".{of}") and name.endswith(".tmp"))
 
 
-def state_of(folder: Path) -> list[torch.Tensor]:
+def learners_of(folder: Path) -> list[torch.Tensor]:
     """All tensors of the learners in a run's checkpoint."""
     content = torch.load(folder / CHECKPOINT_FILE, weights_only=True)
-    leaves = torch.utils._pytree.tree_leaves([entry["learner"] for entry in content["groups"].values()])
-    return [leaf for leaf in leaves if isinstance(leaf, torch.Tensor)]
+    return _tensors_of([entry["learner"] for entry in content["groups"].values()])
+
+
+def policies_of(folder: Path) -> list[torch.Tensor]:
+    """All tensors of a run's policy files."""
+    return _tensors_of([torch.load(folder / name, weights_only=True) for name in _POLICY_FILES])
+
+
+def _tensors_of(tree: object) -> list[torch.Tensor]:
+    leaves = [leaf for leaf in torch.utils._pytree.tree_leaves(tree) if isinstance(leaf, torch.Tensor)]
+    assert leaves, "files without weights compare nothing"
+    return leaves
+
+
+def _are_equal(ones: list[torch.Tensor], others: list[torch.Tensor]) -> int:
+    return int(all(torch.equal(*pair) for pair in zip(ones, others, strict=True)))
 
 
 def end_and_resume(number: int, ending: str, folder: Path, unbroken: Path, whole_s: float) -> Kill:
-    amid_save = ending == "SIGKILL amid a save"
+    amid = ending.removeprefix(_AMID) if ending.startswith(_AMID) else None
     rng = np.random.default_rng([_SEED, number])
     words, log = [*SETTINGS, f"run_dir={folder}", "resume=auto"], folder.with_suffix(".log")
     code, moment, took_s = 0, 0.0, 0.0
@@ -174,7 +201,7 @@ def end_and_resume(number: int, ending: str, folder: Path, unbroken: Path, whole
         moment = float(rng.uniform(0.0, 0.95))
 
         def is_due(child: int, least_s: float = moment * whole_s) -> bool:
-            return processor_time(child) >= least_s and (not amid_save or bool(temporary_files(folder)))
+            return processor_time(child) >= least_s and (amid is None or bool(temporary_files(folder, amid)))
 
         code, _, took_s = run(words, log, ending, is_due)
     temporary = " ".join(temporary_files(folder))
@@ -194,12 +221,11 @@ def end_and_resume(number: int, ending: str, folder: Path, unbroken: Path, whole
     else:
         row.resumed_at = int(first[2].replace(",", "")) - (0 if first[1] else _BATCH_FRAMES)
     if row.resumed == 0:
-        whole = state_of(unbroken)
-        assert whole, "a checkpoint without weights compares nothing"
-        pairs = zip(state_of(folder), whole, strict=True)
-        row.weights_equal = int(all(torch.equal(*pair) for pair in pairs))
-        metrics = "metrics.csv"
-        row.metrics_equal = int((folder / metrics).read_bytes() == (unbroken / metrics).read_bytes())
+        row.weights_equal = _are_equal(learners_of(folder), learners_of(unbroken))
+        row.files_equal = _are_equal(policies_of(folder), policies_of(unbroken))
+        row.metrics_equal = int(
+            all((folder / name).read_bytes() == (unbroken / name).read_bytes() for name in _METRICS_FILES)
+        )
         named = {path.name for path in unbroken.glob("replay-*")}
         replays = [path.name for path in folder.glob("replay-*") if path.name not in named]
         row.left = " ".join([*temporary_files(folder), *replays])

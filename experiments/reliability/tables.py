@@ -57,8 +57,9 @@ def kills_table(folder: Path) -> str:
     lines = [
         "| ended by | exit code | runs | before the first save | with a temporary file "
         "| longest time from signal to exit | went on from the save | had come to its end "
-        "| ended with code 0 | equal weights | equal `metrics.csv` | runs with files left over |",
-        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
+        "| ended with code 0 | equal weights | equal `metrics.csv` and `curve.png` "
+        "| equal policy files | runs with files left over |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
     ]
     rows = _rows(folder / "kills.csv")
     for ending in dict.fromkeys(row["ending"] for row in rows):
@@ -72,7 +73,7 @@ def kills_table(folder: Path) -> str:
             sum(int(row["saved_frames"]) == _TOTAL_FRAMES for row in own),
             sum(row["resumed"] == "0" for row in own),
         ]
-        cells += [sum(int(row[name]) for row in own) for name in ("weights_equal", "metrics_equal")]
+        cells += [sum(int(row[name]) for row in own) for name in ("weights_equal", "metrics_equal", "files_equal")]
         cells += [sum(bool(row["left"]) for row in own)]
         lines.append(f"| {ending} | {' | '.join(map(str, cells))} |")
     return "\n".join(lines)
