@@ -4,8 +4,8 @@
 each run: 34 are killed at any moment, 16 amid the save of a file (from a moment on, as soon as the run's
 folder has the temporary file of that), 10 get SIGTERM, and 10 SIGINT twice. A moment is a share of the
 processor time of an unbroken run, so that it hardly depends on what else the machine does. A run is a fork of
-this process, which has loaded the libraries, and does what `python -m dune_rl.train ... resume=auto` does from
-there on, both times.
+this process, which has loaded the libraries, and does what `python -m dune_rl.train ... resume=auto` does
+from there on, both times.
 """
 
 import csv
