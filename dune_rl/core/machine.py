@@ -73,6 +73,12 @@ def git_commit() -> dict[str, Any] | None:
     return None if commit is None else {"commit": commit, "changed": bool(changed)}
 
 
+def short_commit() -> str:
+    """The commit's first twelve digits, with "+" where files differ from it; empty without a checkout."""
+    found = git_commit()
+    return "" if found is None else found["commit"][:12] + "+" * bool(found["changed"])
+
+
 def processor_name() -> str:
     """Name of the processor."""
     try:

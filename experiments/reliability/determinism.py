@@ -11,7 +11,6 @@ alone. They drive again after a new seeding; another process, with another hash 
 in three scenes; and it drives on from a state saved in the middle.
 """
 
-import csv
 import hashlib
 import multiprocessing
 import os
@@ -35,6 +34,7 @@ from dune_rl.commands.doctor.computed import add_values
 from dune_rl.config.build import make_simulation
 from dune_rl.config.compose import compose_environment
 from dune_rl.core.errors import DuneError
+from dune_rl.core.files import read_csv, write_csv
 from dune_rl.env.simulation import SimulationStep, VectorSimulation
 from dune_rl.sensors.draws import draw, uniform
 
@@ -89,18 +89,15 @@ def main() -> None:
     warnings.simplefilter("ignore")
     write_world_files(folder / "worlds")
     path = folder / f"determinism_{design}.csv"
-    names = [each.name for each in fields(Comparison)]
-    if not path.exists():
-        path.write_text(",".join(names) + "\n")
-    known = {tuple(row[name] for name in names[:4]) for row in csv.DictReader(path.read_text().splitlines())}
+    rows: list[Mapping[str, object]] = [*read_csv(path)]
+    known = {tuple(row[each.name] for each in fields(Combination)) for row in rows}
     os.environ["PYTHONHASHSEED"] = "77"
     with multiprocessing.get_context("spawn").Pool(1) as other:
         for chosen in DESIGNS[design]():
             if (chosen.world, chosen.robot, chosen.engine, chosen.actors) in known:
                 continue
-            row = compare(chosen, steps, folder / "worlds", other)
-            with path.open("a", newline="") as file:
-                csv.DictWriter(file, names).writerow(asdict(row))
+            rows.append(asdict(compare(chosen, steps, folder / "worlds", other)))
+            write_csv(path, rows)
 
 
 def compare(chosen: Combination, steps: int, files: Path, other: Pool) -> Comparison:

@@ -7,7 +7,6 @@ a file system in memory, which only root can mount. Root may also write to folde
 gives that up, by `setpriv`, for the command whose folder turns read-only.
 """
 
-import csv
 import os
 import shutil
 import signal
@@ -15,12 +14,13 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from dune_rl.core.machine import git_commit
+from dune_rl.core.files import read_csv, write_csv
+from dune_rl.core.machine import short_commit
 
 _TRAIN = (
     *("dune_rl.train", "+world=inspection", "total_frames=6000", "film=false", "run_dir=run", "resume=auto"),
@@ -261,13 +261,7 @@ def meet(name: str, fault: Fault, folder: Path) -> Row:
         fault.mend(folder)
         words = ("dune_rl.evaluate", "resume=run") if "dune_rl.evaluate" in fault.words else fault.words
         resumed = str(_wait(_start(folder, words, fault.is_unprivileged)))
-    return Row(name, code, round(taken_s, 1), said.replace(str(folder), "."), resumed, commit())
-
-
-def commit() -> str:
-    """Commit of the checkout, with "+" where its files differ from it; "" without a checkout."""
-    found = git_commit()
-    return "" if found is None else found["commit"][:12] + "+" * bool(found["changed"])
+    return Row(name, code, round(taken_s, 1), said.replace(str(folder), "."), resumed, short_commit())
 
 
 def main() -> None:
@@ -276,18 +270,15 @@ def main() -> None:
     folder = Path(sys.argv[1]).absolute()
     folder.mkdir(parents=True, exist_ok=True)
     table = folder / "faults.csv"
-    done = {row["fault"] for row in csv.DictReader(table.open())} if table.exists() else set()
+    rows: list[Mapping[str, object]] = [*read_csv(table)]
+    done = {row["fault"] for row in rows}
     for name, fault in FAULTS.items():
         if name in done or (fault.is_mounted and os.geteuid() != 0):
             continue
         with _place(fault.is_mounted) as place:
             row = meet(name, fault, place)
-        is_new = not table.exists()
-        with table.open("a", newline="") as file:
-            writer = csv.DictWriter(file, [each.name for each in fields(Row)], lineterminator="\n")
-            if is_new:
-                writer.writeheader()
-            writer.writerow(asdict(row))
+        rows.append(asdict(row))
+        write_csv(table, rows)
         print(row, flush=True)
 
 

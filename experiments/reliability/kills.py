@@ -8,7 +8,6 @@ this process, which has loaded the libraries, and does what `python -m dune_rl.t
 from there on, both times.
 """
 
-import csv
 import os
 import re
 import shutil
@@ -16,7 +15,7 @@ import signal
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
@@ -25,10 +24,11 @@ os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUM
 
 import numpy as np
 import torch
-from faults import commit
 
 from dune_rl import train
 from dune_rl.commands import train as _command  # noqa: F401
+from dune_rl.core.files import read_csv, write_csv
+from dune_rl.core.machine import short_commit
 from dune_rl.learning import trainer as _loaded_once  # noqa: F401
 from dune_rl.learning.checkpoint import BEST_POLICY_FILE, CHECKPOINT_FILE, LAST_POLICY_FILE
 from dune_rl.learning.run.log import CURVE_FILE, METRICS_FILE
@@ -84,8 +84,8 @@ class Kill:
     of the checkpoint that it left, 0 without one and -1 where it cannot be read; `resumed` is the exit code
     of the resumed run, and `resumed_at` the frames that it had before its first batch.
     `weights_equal` says whether its policies, critics and optimiser are the unbroken run's bit for bit,
-    `metrics_equal` whether its metrics.csv and its curve.png are, and `files_equal` whether the weights of its
-    policy_best.pt and policy_last.pt are; `left` are the temporary and replay files in its folder at the
+    `metrics_equal` whether its metrics.csv and its curve.png are, and `files_equal` whether the weights of
+    its policy_best.pt and policy_last.pt are; `left` are the temporary and replay files in its folder at the
     end that its checkpoint does not name. `commit` is that of the code, with "+" where files
     differed from it.
     """
@@ -230,7 +230,7 @@ def end_and_resume(number: int, ending: str, folder: Path, unbroken: Path, whole
         named = {path.name for path in unbroken.glob("replay-*")}
         replays = [path.name for path in folder.glob("replay-*") if path.name not in named]
         row.left = " ".join([*temporary_files(folder), *replays])
-    row.commit = commit()
+    row.commit = short_commit()
     return row
 
 
@@ -249,20 +249,17 @@ def main() -> None:
             code, whole_s, _ = run([*SETTINGS, f"run_dir={runs / 'unbroken'}"], runs / "unbroken.log")
         if code:
             sys.exit(f"The unbroken run ended with exit code {code}:\n{(runs / 'unbroken.log').read_text()}")
-        columns = [each.name for each in fields(Kill)]
-        if table.exists() and table.read_text().partition("\n")[0].split(",") != columns:
+        rows: list[Mapping[str, object]] = [*read_csv(table)]
+        if any(list(row) != [each.name for each in fields(Kill)] for row in rows):
             sys.exit(f"{table} has other columns than this script writes: move it away, and begin anew")
         endings = [ending for ending, count in ENDINGS.items() for _ in range(count)]
-        done = {int(row["number"]) for row in csv.DictReader(table.open())} if table.exists() else set()
+        done = {int(str(row["number"])) for row in rows}
         for number, ending in enumerate(endings):
             if number in done:
                 continue
             row = end_and_resume(number, ending, runs / "ended", runs / "unbroken", whole_s)
-            with table.open("a", newline="") as file:
-                writer = csv.DictWriter(file, columns, lineterminator="\n")
-                if not file.tell():
-                    writer.writeheader()
-                writer.writerow(asdict(row))
+            rows.append(asdict(row))
+            write_csv(table, rows)
             print(row, flush=True)
     finally:
         shutil.rmtree(runs, ignore_errors=True)

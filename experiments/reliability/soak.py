@@ -8,7 +8,6 @@ kind of actors has its turn in a world, with a robot and a driver, which differ 
 episode has a new body and light, and every fourth a new site.
 """
 
-import csv
 import gc
 import os
 import subprocess
@@ -16,7 +15,7 @@ import sys
 import time
 import warnings
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +31,8 @@ from dune_rl.config.build import make_learning_env
 from dune_rl.config.commands import EvaluateConf
 from dune_rl.config.compose import compose
 from dune_rl.core.errors import DuneError, WorldError
+from dune_rl.core.files import read_csv, write_csv
+from dune_rl.core.machine import short_commit
 from dune_rl.evaluation.policies import RandomByEpisode
 from dune_rl.learning.checkpoint import read_policy_file
 from dune_rl.learning.policies import built_in_policy
@@ -81,6 +82,7 @@ class Turn:
     fallen: int = 0
     diverged: int = 0
     fault: str = ""
+    commit: str = ""
 
 
 def main() -> None:
@@ -102,8 +104,7 @@ def main() -> None:
 
 
 def _rows(folder: Path) -> list[dict[str, str]]:
-    path = folder / "soak.csv"
-    return list(csv.DictReader(path.read_text().splitlines())) if path.exists() else []
+    return read_csv(folder / "soak.csv")
 
 
 def _steps(folder: Path) -> int:
@@ -135,7 +136,8 @@ def _drive_segment(folder: Path, segment: int, rounds: int) -> None:
             turn.files = len(os.listdir("/proc/self/fd"))
             turn.threads = len(os.listdir("/proc/self/task"))
             turn.processes = len(Path(f"/proc/self/task/{os.getpid()}/children").read_text().split())
-            _append(path, turn)
+            turn.commit = short_commit()
+            write_csv(path, [*_rows(folder), asdict(turn)])
 
 
 def _driver_of(chosen: Combination, number: int) -> str:
@@ -143,15 +145,6 @@ def _driver_of(chosen: Combination, number: int) -> str:
         return "random"
     drivers = _POLICY_DRIVERS if chosen.robot == _POLICY_ROBOT else _DRIVERS
     return drivers[number // 3 % len(drivers)]
-
-
-def _append(path: Path, turn: Turn) -> None:
-    is_new = not path.exists()
-    with path.open("a", newline="") as file:
-        writer = csv.DictWriter(file, [field.name for field in fields(Turn)])
-        if is_new:
-            writer.writeheader()
-        writer.writerow(asdict(turn))
 
 
 def _drive(turn: Turn, chosen: Combination, folder: Path, seed: int) -> None:

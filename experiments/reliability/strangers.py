@@ -20,8 +20,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "helpers"
 from strangers.samples import SAMPLES
 from strangers.watch import ACCEPTED, DEFECT, REFUSED, Outcome, count_attacks, run_damaged
 
-from dune_rl.core.files import write_csv
-from dune_rl.core.machine import git_commit
+from dune_rl.core.files import read_csv, write_csv
+from dune_rl.core.machine import short_commit
 
 _TURN = 50
 COLUMNS = ("format", "attacks", "mutants", ACCEPTED, REFUSED, "defects", "most_s", "most_mib", "commit")
@@ -29,10 +29,7 @@ COLUMNS = ("format", "attacks", "mutants", ACCEPTED, REFUSED, "defects", "most_s
 
 def read_rows(file: Path) -> dict[str, dict[str, str]]:
     """The rows of `strangers.csv` by format; none without the file."""
-    if not file.exists():
-        return {}
-    with file.open(newline="", encoding="utf-8") as opened:
-        return {row["format"]: row for row in csv.DictReader(opened)}
+    return {row["format"]: row for row in read_csv(file)}
 
 
 def markdown(rows: Mapping[str, Mapping[str, str]]) -> str:
@@ -67,14 +64,13 @@ def _add(before: Mapping[str, str], kind: str, attacks: int, found: Sequence[Out
     sums = {name: str(int(before.get(name, 0)) + number) for name, number in names.items()}
     most_s = max(float(before.get("most_s", 0)), *(one.seconds for one in found))
     most_mib = max(float(before.get("most_mib", 0)), *(one.grown_mb for one in found))
-    commit = str((git_commit() or {}).get("commit", ""))[:12]
     row = {
         "format": kind,
         "attacks": str(attacks),
         **sums,
         "most_s": f"{most_s:.1f}",
         "most_mib": f"{most_mib:.0f}",
-        "commit": commit,
+        "commit": short_commit(),
     }
     return {name: row[name] for name in COLUMNS}
 

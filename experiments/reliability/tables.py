@@ -1,9 +1,10 @@
 """Prints the tables of the pages of this folder (`experiments/reliability/*.md`)."""
 
-import csv
 from pathlib import Path
 
 from combinations import DESIGNS
+
+from dune_rl.core.files import read_csv
 
 _COMPARED = ("again", "scenes", "restored")
 _COUNTS = ("steps", *_COMPARED, *(f"{name}_of" for name in _COMPARED))
@@ -20,7 +21,7 @@ def determinism_table(folder: Path) -> str:
         "|---|---:|---:|---:|---:|---:|---:|",
     ]
     for design in DESIGNS:
-        rows = _rows(folder / f"determinism_{design}.csv")
+        rows = read_csv(folder / f"determinism_{design}.csv")
         total = {name: sum(int(row[name]) for row in rows) for name in _COUNTS}
         cells = [f"{len(rows)} of {len(DESIGNS[design]())}", sum(bool(row["fault"]) for row in rows)]
         cells += [f"{total['steps']:,}"]
@@ -32,7 +33,7 @@ def determinism_table(folder: Path) -> str:
 
 def soak_table(folder: Path) -> str:
     """A Markdown table with a row for each segment."""
-    rows = _rows(folder / "soak.csv")
+    rows = read_csv(folder / "soak.csv")
     lines = [
         "| segment | turns | refused | steps | episodes | memory after a tenth | at the end | open files "
         "| child processes | not finite | below the ground | diverged | steps per s of processor time |",
@@ -61,7 +62,7 @@ def kills_table(folder: Path) -> str:
         "| equal policy files | runs with files left over |",
         "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
     ]
-    rows = _rows(folder / "kills.csv")
+    rows = read_csv(folder / "kills.csv")
     for ending in dict.fromkeys(row["ending"] for row in rows):
         own = [row for row in rows if row["ending"] == ending]
         codes = " or ".join(dict.fromkeys(row["exit_code"] for row in own))
@@ -73,7 +74,9 @@ def kills_table(folder: Path) -> str:
             sum(int(row["saved_frames"]) == _TOTAL_FRAMES for row in own),
             sum(row["resumed"] == "0" for row in own),
         ]
-        cells += [sum(int(row[name]) for row in own) for name in ("weights_equal", "metrics_equal", "files_equal")]
+        cells += [
+            sum(int(row[name]) for row in own) for name in ("weights_equal", "metrics_equal", "files_equal")
+        ]
         cells += [sum(bool(row["left"]) for row in own)]
         lines.append(f"| {ending} | {' | '.join(map(str, cells))} |")
     return "\n".join(lines)
@@ -85,7 +88,7 @@ def faults_table(folder: Path) -> str:
         "| fault | exit code | seconds from the fault to the end | last line | called again |",
         "|---|---:|---:|---|---|",
     ]
-    for row in _rows(folder / "faults.csv"):
+    for row in read_csv(folder / "faults.csv"):
         again = {"": "", "0": "goes on to its end"}.get(row["resumed"], f"exit code {row['resumed']}")
         said = f"`{row['said']}`" if row["said"] else ""
         lines.append(f"| {row['fault']} | {row['exit_code']} | {row['after_s']} | {said} | {again} |")
@@ -95,10 +98,6 @@ def faults_table(folder: Path) -> str:
 def _range(rows: list[dict[str, str]], name: str) -> str:
     numbers = [int(row[name]) for row in rows]
     return f"{min(numbers)} to {max(numbers)}" if min(numbers) < max(numbers) else str(numbers[0])
-
-
-def _rows(path: Path) -> list[dict[str, str]]:
-    return list(csv.DictReader(path.read_text().splitlines())) if path.exists() else []
 
 
 if __name__ == "__main__":

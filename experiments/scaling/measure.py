@@ -6,20 +6,20 @@ how many processes share the cores, so that the ratio of a worker's to the drive
 many workers, each with a core of its own, the driver is busy all the time.
 """
 
-import csv
 import os
 import re
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from ray.cluster_utils import Cluster
 
-from dune_rl.core.machine import git_commit
+from dune_rl.core.files import read_csv, write_csv
+from dune_rl.core.machine import short_commit
 
 # What is trained: the default learner, and the recipe of the policy for all worlds.
 TRAININGS = {
@@ -120,7 +120,6 @@ def measure(name: str, number: int, address: str) -> Row:
             sys.exit(f"{name} with {number} workers ended with code {process.returncode}")
     first, last = taken[0], taken[-1]
     frames = last.frames - first.frames
-    commit = git_commit()
     return Row(
         training=name,
         workers=number,
@@ -131,7 +130,7 @@ def measure(name: str, number: int, address: str) -> Row:
         worker_us=round(1e6 * (last.workers_s - first.workers_s) / frames),
         driver_mib=round(last.driver_mib),
         worker_mib=round(last.worker_mib),
-        commit="" if commit is None else commit["commit"][:12] + "+" * bool(commit["changed"]),
+        commit=short_commit(),
     )
 
 
@@ -139,9 +138,8 @@ def main() -> None:
     if len(sys.argv) != 2:
         sys.exit(__doc__)
     table = Path(sys.argv[1]).absolute() / "scaling.csv"
-    done = set()
-    if table.exists():
-        done = {(row["training"], int(row["workers"])) for row in csv.DictReader(table.open())}
+    rows: list[Mapping[str, object]] = [*read_csv(table)]
+    done = {(row["training"], int(str(row["workers"]))) for row in rows}
     os.environ.update(RAY_USAGE_STATS_ENABLED="0", RAY_AUTH_MODE="disabled")
     head = {"include_dashboard": False, "include_log_monitor": False, "no_monitor": True}
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": max(WORKERS) // 2, **head})
@@ -152,12 +150,8 @@ def main() -> None:
                 if (name, number) in done:
                     continue
                 row = measure(name, number, cluster.address)
-                is_new = not table.exists()
-                with table.open("a", newline="") as file:
-                    writer = csv.DictWriter(file, [each.name for each in fields(Row)], lineterminator="\n")
-                    if is_new:
-                        writer.writeheader()
-                    writer.writerow(asdict(row))
+                rows.append(asdict(row))
+                write_csv(table, rows)
                 print(row, flush=True)
     finally:
         cluster.shutdown()

@@ -1,7 +1,8 @@
 """Prints the table of this folder's page."""
 
-import csv
 from pathlib import Path
+
+from dune_rl.core.files import read_csv
 
 
 def scaling_table(folder: Path) -> str:
@@ -11,7 +12,7 @@ def scaling_table(folder: Path) -> str:
         "| workers that keep a driver busy | driver | a worker |",
         "|---|---:|---:|---:|---:|---:|---:|---:|---:|",
     ]
-    for row in csv.DictReader((folder / "scaling.csv").read_text().splitlines()):
+    for row in read_csv(folder / "scaling.csv"):
         driver, worker = float(row["driver_us"]), float(row["worker_us"])
         cells = [f"`{row['training']}`", row["workers"], f"{float(row['frames_per_s']):.0f}"]
         cells += [f"{driver:.0f}", f"{worker:.0f}", f"{100 * driver / (driver + worker):.0f} %"]
