@@ -259,6 +259,18 @@ PAGES: Mapping[str, HelpPage] = {
         "Way-points and stretches between them that cannot be walked are named, and nothing is written.",
         options=False,
     ),
+    "export": HelpPage(
+        "Write a trained policy as an ONNX file, which acts without PyTorch, and compare both.",
+        (("python -m dune_rl.export checkpoint=runs/NAME out=policy.onnx", "the best policy of a run"),),
+        (
+            ("checkpoint=PATH", "a run's folder, or a policy or checkpoint file"),
+            ("out=FILE.onnx", "the file; its metadata describe inputs, action and rate as JSON"),
+            ("group=NAME", "whose policy, where there are several"),
+            ("overwrite=true", "replaces the file that is there"),
+        ),
+        "Drive with it: python -m dune_rl.evaluate policy=FILE.onnx. Needs pip install 'dune_rl[export]'.",
+        options=False,
+    ),
     "benchmark": HelpPage(
         "Measure the cost of a step; JSON lines.",
         (

@@ -77,17 +77,24 @@ def read_saved_policy(path: Path, group: str, here: PolicySpec, *, allow_more: b
     return _saved_policy(*read_policy_file(path), group, here, allow_more=allow_more)
 
 
-def _saved_policy(
-    file: Path, content: Mapping[str, Any], group: str, here: PolicySpec, *, allow_more: bool
-) -> SavedPolicy:
+def saved_policy_in(file: Path, content: Mapping[str, Any], group: str) -> SavedPolicy:
+    """The policy of `group` in the `content` of `file`; raises CheckpointError where there is none."""
     entry = saved_entry(content["groups"], file, group)
     with interpreting(file):
         spec = PolicySpec.from_plain(entry["spec"])
-        spec.require(here.only(spec.keys) if allow_more else here, str(file))
         algorithm_class(entry["algorithm"], str(file))
         # A checkpoint has the weights among the learner's state.
         weights = entry["policy"] if "policy" in entry else entry["learner"]["policy"]
     return SavedPolicy(file, entry["algorithm"], spec, entry["network"], weights, content["config"])
+
+
+def _saved_policy(
+    file: Path, content: Mapping[str, Any], group: str, here: PolicySpec, *, allow_more: bool
+) -> SavedPolicy:
+    saved = saved_policy_in(file, content, group)
+    with interpreting(file):
+        saved.spec.require(here.only(saved.spec.keys) if allow_more else here, str(file))
+    return saved
 
 
 def load_group_policy(

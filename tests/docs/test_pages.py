@@ -29,6 +29,7 @@ from world_files import write_yard
 from dune_rl.commands import doctor, episode_sets, robots
 from dune_rl.commands.command_line import config_folders, parse_arguments
 from dune_rl.commands.engines import parse_settings as engines_settings
+from dune_rl.commands.export import parse_words as export_words
 from dune_rl.commands.pages import PAGES as PROGRAMS
 from dune_rl.commands.report import parse_words
 from dune_rl.commands.resuming import AUTO
@@ -102,6 +103,8 @@ def compose_command(words: list[str]) -> None:
         engines_settings(overrides)
     elif program == "dune_rl.report":
         parse_words(rest)
+    elif program == "dune_rl.export":
+        export_words(rest)
     elif program == "dune_rl.trajectory":
         trajectory_words(rest)
     elif program == "dune_rl.view":

@@ -1,0 +1,149 @@
+"""`python -m dune_rl.export`: write a trained policy as an ONNX file, and compare both."""
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from pydantic import Field
+
+from dune_rl.commands import command_line
+from dune_rl.config.checks import validate
+from dune_rl.core.errors import ConfigError
+from dune_rl.core.files import sha256_of
+from dune_rl.core.settings import Settings
+from dune_rl.core.version import VERSION
+from dune_rl.learning.checkpoint import read_policy_file
+from dune_rl.learning.onnx_file import ActingNetwork, check_exporter, sample_inputs, write_onnx
+from dune_rl.learning.policy_spec import PolicySpec
+from dune_rl.learning.saved_policies import describe_selection, saved_policy_in
+
+# Compared observations, in batches of these; and those of which each is timed.
+_COMPARED, _BATCH, _TIMED = 10_000, 500, 300
+# Above it two commands are no longer the same.
+_TOLERANCE = 1e-5
+_SPEED_AND_HEADING = ("speed_mps", "relative_heading_rad")
+
+
+class ExportConf(Settings):
+    """Settings of an export."""
+
+    checkpoint: str = Field(min_length=1)
+    out: str = Field(min_length=1)
+    group: str | None = Field(None, min_length=1)
+    overwrite: bool = False
+
+
+def parse_words(words: Sequence[str]) -> ExportConf:
+    """The settings among the words of a command line; `ConfigError` where they are not valid."""
+    values = {}
+    for word in words:
+        key, equals, values[key] = word.partition("=")
+        if not equals:
+            raise ConfigError(f"cannot read {word!r}; write key=value (see --help)")
+    conf = validate(ExportConf, values)
+    if Path(conf.out).suffix != ".onnx":
+        raise ConfigError(f"out={conf.out} must end in .onnx")
+    return conf
+
+
+def run(words: Sequence[str]) -> None:
+    """Write the file that the command line asks for; raises ConfigError where it acts otherwise."""
+    conf = parse_words(command_line.parse_arguments(words).overrides)
+    out = Path(conf.out)
+    if out.is_dir():
+        raise ConfigError(f"{out} is a folder: name a file")
+    if out.exists() and not conf.overwrite:
+        raise ConfigError(f"{out} exists; choose another name, or overwrite=true")
+    check_exporter()
+    file, content = read_policy_file(Path(conf.checkpoint))
+    groups = sorted(content["groups"])
+    if conf.group is None and len(groups) > 1:
+        raise ConfigError(f"{file} has policies of {', '.join(groups)}; choose one: group=NAME")
+    if conf.group is not None and conf.group not in groups:
+        raise ConfigError(f"{file} has no policy of {conf.group!r}; it has {', '.join(groups)}")
+    group = conf.group or groups[0]
+    saved = saved_policy_in(file, content, group)
+    description = {
+        "version": VERSION,
+        "policy": describe_selection(content),
+        "sha256": sha256_of(file),
+        **describe_interface(saved.spec, group, content["config"]),
+    }
+    out.parent.mkdir(parents=True, exist_ok=True)
+    acting = write_onnx(out, saved.make_network(), saved.spec, description)
+    action = " and ".join(each["name"] for each in description["action"])
+    lines = [
+        f"{out}: {group}, {description['policy']}",
+        f"inputs: {', '.join(acting.inputs)}",
+        f"outputs: {', '.join(acting.outputs)} ({action}), every {description['decision_s']:g} s",
+        _compared(out, acting, saved.spec),
+    ]
+    console = command_line.make_console()
+    for line in lines:
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+
+def describe_interface(spec: PolicySpec, group: str, config: dict[str, Any]) -> dict[str, Any]:
+    """What a program needs beside the network: shapes, the action's components with bounds, and the rate."""
+    physics = config.get("physics", {})
+    names = (
+        _SPEED_AND_HEADING
+        if spec.action_size == len(_SPEED_AND_HEADING)
+        else [f"joint_{number}" for number in range(spec.action_size)]
+    )
+    parts = {key: spec.part(key) for key in spec.keys}
+    return {
+        "group": group,
+        "observation": {
+            key: {"shape": list(part.shape), "dtype": "uint8" if part.uint8 else "float32"}
+            for key, part in parts.items()
+        },
+        "action": [
+            {"name": name, "low": low, "high": high}
+            for name, low, high in zip(names, spec.low, spec.high, strict=True)
+        ],
+        "decision_s": physics.get("action_repeat", 1) / physics.get("control_hz", 20.0),
+        "sensors": config.get("sensors", {}),
+    }
+
+
+def _compared(out: Path, acting: ActingNetwork, spec: PolicySpec) -> str:
+    """A line on how far both act alike; raises ConfigError, after removing the file, where they do not."""
+    try:
+        import onnxruntime
+    except ImportError:
+        return "not compared with the checkpoint: onnxruntime is not installed"
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    session = onnxruntime.InferenceSession(str(out), options, providers=["CPUExecutionProvider"])
+    most, generator_state = 0.0, torch.get_rng_state()
+    torch.manual_seed(0)
+    for _ in range(_COMPARED // _BATCH):
+        given = sample_inputs(acting, spec, _BATCH)
+        with torch.no_grad():
+            wanted = acting(*given)
+        found = session.run(None, _named(acting, given))
+        most = max(most, *(float(np.abs(a.numpy() - b).max()) for a, b in zip(wanted, found, strict=True)))
+    one = _named(acting, sample_inputs(acting, spec, 1))
+    torch.set_rng_state(generator_state)
+    begun = time.perf_counter()
+    for _ in range(_TIMED):
+        session.run(None, one)
+    took_ms = 1e3 * (time.perf_counter() - begun) / _TIMED
+    if most > _TOLERANCE:
+        out.unlink()
+        raise ConfigError(
+            f"the file acted otherwise than the policy (by up to {most:.2g}) and was removed; "
+            "keep to the checkpoint, and report this"
+        )
+    return (
+        f"actions differ by at most {most:.1g} over {_COMPARED:,} observations; "
+        f"{took_ms:.2f} ms each, one thread"
+    )
+
+
+def _named(acting: ActingNetwork, given: Sequence[torch.Tensor]) -> dict[str, Any]:
+    return {name: value.numpy() for name, value in zip(acting.inputs, given, strict=True)}
