@@ -39,7 +39,7 @@ from dune_rl.learning.policies import built_in_policy
 from dune_rl.learning.saved_policies import load_policy
 from dune_rl.physics.interface import OWN_ENGINES
 
-_SCENES, _STEPS = 4, 1_000
+_SCENES, _STEPS = 16, 1_000
 # Another body in every episode, and another site in every fourth, as sites take seconds to build.
 _LIMITS = ("task.terminations.time_limit.max_steps=240", "randomisation.episodes_per_world=4")
 _POLICY = Path(__file__).parents[1] / "policies" / "all_worlds_1" / "policy.pt"
