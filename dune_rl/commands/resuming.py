@@ -121,7 +121,7 @@ def _saved_run(conf: Conf, checkpoint: Path, content: Mapping[str, Any]) -> Save
         counters = content["counters"]
         frames = counters["frames"]
         is_at_end = frames >= conf.total_frames and counters["evaluated_at"] == frames
-        # A run that was killed amid its last save has written the checkpoint, perhaps no more.
+        # A run that was cut off amid its last save has written the checkpoint, perhaps no more.
         is_finished = is_at_end and not (checkpoint.parent / LOCK_FILE).exists()
         rows = counters.get("rows", {}).get(conf.driven_group.name)
         objective = mean_of_known(row[conf.objective] for row in rows) if rows else None

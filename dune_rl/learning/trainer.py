@@ -187,6 +187,7 @@ class Trainer:
         keep_freed_memory()
         end = min(self._total_frames, stop_after_frames or self._total_frames)
         threads = torch.get_num_threads()
+        is_whole = False
         with self._reporter, stop_on_signals(self._reporter.note) as stop:
             collector = self._make_collector()
             torch.set_num_threads(self._threads)
@@ -210,6 +211,7 @@ class Trainer:
                     self._log.end_session(self._evaluation.rows, objective, self.frames)
                 self._log.write()
                 self._log.draw(self._title)
+                is_whole = True
             except DivergenceError as error:
                 # What was saved last is better than what there is now.
                 self._log.write()
@@ -237,7 +239,7 @@ class Trainer:
                     learner.close()
                 torch.set_num_threads(threads)
                 self._log.close()
-                self._folder.release()
+                self._folder.release(is_whole=is_whole)
         return TrainingResult(
             self._folder.path,
             self.frames,

@@ -18,7 +18,7 @@ from dune_rl.commands.resuming import find_own_run
 from dune_rl.config.compose import compose
 from dune_rl.config.schema import Conf
 from dune_rl.learning.checkpoint import write_checkpoint_file
-from dune_rl.learning.run import progress
+from dune_rl.learning.run import log, progress
 from dune_rl.learning.run.locks import LOCK_FILE
 from dune_rl.learning.run.progress import LineReporter, TrainingStatus
 
@@ -94,6 +94,24 @@ def test_a_run_killed_amid_its_last_save_is_ended_when_it_goes_on(call: Call, fo
     assert {file for file in before if "tfevents" not in file} == {
         file for file in files_of(run) if "tfevents" not in file
     }
+
+
+@pytest.mark.slow
+def test_a_run_cut_off_by_ctrl_c_after_its_last_save_is_ended_when_it_goes_on(
+    call: Call, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def cut_off(*_: object) -> NoReturn:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(log, "draw_curve", cut_off)
+        assert call(train.main, *AUTO, "run_dir=run") == 130
+    assert not (folder / "run" / "curve.png").exists()
+    assert call(train.main, *AUTO, "run_dir=run") == 0
+    assert (folder / "run" / "curve.png").exists() and not (folder / "run" / LOCK_FILE).exists()
+    whole = files_of(folder)
+    assert call(train.main, *AUTO, "run_dir=run") == 0
+    assert files_of(folder) == whole
 
 
 def test_a_run_cut_off_as_it_writes_its_first_file_goes_on(

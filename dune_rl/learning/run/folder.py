@@ -69,8 +69,9 @@ class RunFolder:
         with write_atomically(self.path / CONFIG_FILE) as temporary:
             temporary.write_text(yaml.safe_dump(self.config, sort_keys=False))
 
-    def release(self) -> None:
-        self._lock.release()
+    def release(self, *, is_whole: bool = True) -> None:
+        """Let others have the folder; unless it `is_whole`, with a mark that a run was cut off in it."""
+        self._lock.release(keep_file=not is_whole)
 
     def describe_last_save(self) -> str:
         """What a run that ends without another save can be gone on from."""

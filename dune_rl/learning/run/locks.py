@@ -35,10 +35,18 @@ class RunLock:
         """Whether the folder is locked; false where there are no such locks."""
         return self._release is not None and self._release.alive
 
-    def release(self) -> None:
-        """Let others have the folder; a second call does nothing."""
-        if self._release is not None:
-            self._release()
+    def release(self, *, keep_file: bool = False) -> None:
+        """Let others have the folder; a second call does nothing.
+
+        With `keep_file` its file stays, as after a kill: what the run was writing may not be whole.
+        """
+        if self._release is None:
+            return
+        if keep_file and (held := self._release.detach()) is not None:
+            _, _, (handle, _, owner), _ = held
+            if os.getpid() == owner:
+                os.close(handle)
+        self._release()
 
 
 def _lock(folder: Path) -> int | None:
