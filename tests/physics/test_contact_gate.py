@@ -148,6 +148,26 @@ def test_a_robot_with_tyres_touches_only_what_the_gate_finds(backend, tmp_path, 
     assert not all(exposures)
 
 
+@every_backend
+def test_tyres_meet_obstacles_alike_each_time_that_a_scene_is_reset(backend):
+    walls = [box((0.75, y), 0.2, 0.2, 1.0, name=f"post {y}") for y in (-0.6, -0.3, 0.0, 0.3, 0.6)]
+    stage = Stage(backend, [plane(), *walls])
+
+    def drive() -> tuple[list[bytes], set[int]]:
+        states, touched = [], set()
+        stage.place([0.0, 0.1, 0.125], about([0, 0, 1], 0.3))
+        for wheels in ([6.0] * 4, [-6.0] * 4, [8.0, -2.0, 8.0, -2.0], [6.0] * 4):
+            for _ in range(12):
+                stage.step(SUBSTEPS, wheels)
+                states.append(stage.state.tobytes())
+                touched |= stage.contacts()
+        return states, touched
+
+    first, touched = drive()
+    assert touched
+    assert all(drive()[0] == first for _ in range(3))
+
+
 class Puck:
     """A robot as the gate sees it."""
 

@@ -112,7 +112,9 @@ class StaticGeometry:
         self._near_tyres = numbers
         self._tyre_numbers.clear()
         for material, body in self._tyre_obstacles.items():
-            body.removeAllShapeNodes()
+            # One call of DART 6.20 leaves some of them.
+            while body.getNumShapeNodes():
+                body.removeAllShapeNodes()
             for number in sorted(numbers):
                 friction = self._statics[number].friction * material.friction
                 self._tyre_numbers[add_shape(body, self._shapes[number], friction)] = number
