@@ -111,6 +111,7 @@ def _saved_settings(overrides: Sequence[str]) -> Mapping[str, Any] | None:
 
 def _evaluate(conf: EvaluateConf) -> None:
     # Only now, since loading PyTorch and the physics engine takes seconds.
+    from dune_rl.evaluation.datasets.writing import plan_with_dataset
     from dune_rl.evaluation.folder import ResultsFolder, check_free
     from dune_rl.evaluation.provenance import describe_provenance
     from dune_rl.evaluation.run_plan import prepare_run, run_plan
@@ -120,6 +121,7 @@ def _evaluate(conf: EvaluateConf) -> None:
     out = Path(conf.out) if conf.out else default_folder(plan)
     check_writable(out)
     check_free(out, overwrite=conf.overwrite)
+    plan = plan_with_dataset(plan, out)
     # Before the folder is made: a policy that does not fit leaves nothing behind.
     prepared = prepare_run(plan)
     console = command_line.make_console()
@@ -177,6 +179,8 @@ def _resume(path: Path, processes: Processes | None, trusted: Sequence[str]) -> 
     if is_cross_play(path):
         run_cross_play(path, command_line.make_console(), processes, trusted)
         return
+    from dune_rl.config.checks import validate
+    from dune_rl.evaluation.datasets.writing import plan_with_dataset
     from dune_rl.evaluation.folder import ResultsFolder, read_provenance, read_settings
     from dune_rl.evaluation.provenance import check_same_sources
     from dune_rl.evaluation.run_plan import prepare_run, run_plan
@@ -185,11 +189,15 @@ def _resume(path: Path, processes: Processes | None, trusted: Sequence[str]) -> 
     provenance, conf = read_provenance(path), read_settings(path)
     if provenance.get("complete"):
         raise ConfigError(f"{path} is complete; there is nothing to resume")
+    if processes is not None:
+        # As they are checked when they are given at once.
+        conf = validate(EvaluateConf, {**conf.model_dump(mode="json"), "processes": processes})
     plan = EvaluationPlan.of_settings(conf)
     check_same_sources(plan, provenance, path, trusted)
+    plan = plan_with_dataset(plan, path)
     prepared = prepare_run(plan)
     with ResultsFolder.reopen(path) as folder:
-        run_plan(plan, folder, prepared, command_line.make_console(), processes or conf.processes)
+        run_plan(plan, folder, prepared, command_line.make_console(), conf.processes)
 
 
 def _join(path: Path, out: object, trusted: Sequence[str]) -> None:

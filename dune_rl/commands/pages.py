@@ -130,6 +130,7 @@ PAGES: Mapping[str, HelpPage] = {
             ),
             ("steps=true", "a row for each step too; steps=N for each N-th"),
             ("actor_steps=true", "with steps: rows of walkers too"),
+            ("dataset=NAME-v0", "also a Minari dataset of all transitions, for offline learning"),
             ("out=FOLDER", "of the results; overwrite=true replaces what is there"),
             ("sample=N", "with verify: how many episodes to repeat"),
         ),

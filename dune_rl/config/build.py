@@ -283,11 +283,15 @@ def make_parallel_env(
 
 
 def make_gymnasium_env(
-    conf: SingleAgentConf, seed: int, render_mode: RenderMode = None, flatten: bool = False
+    conf: SingleAgentConf,
+    seed: int,
+    render_mode: RenderMode = None,
+    flatten: bool = False,
+    plan: EpisodePlan | None = None,
 ) -> GymnasiumEnv:
     """A Gymnasium environment of one scene with one external agent."""
-    env = GymnasiumEnv(make_simulation(conf, 1, seed), render_mode, flatten=flatten)
-    env.remake = partial(make_gymnasium_env, conf, seed, render_mode, flatten)
+    env = GymnasiumEnv(make_simulation(conf, 1, seed, plan=plan), render_mode, flatten=flatten)
+    env.remake = partial(make_gymnasium_env, conf, seed, render_mode, flatten, plan)
     return env
 
 

@@ -1,5 +1,6 @@
 """Settings of the commands that evaluate, view and benchmark."""
 
+import re
 from typing import Annotated, Literal, Self, get_args
 
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
@@ -123,6 +124,19 @@ def _part(value: str) -> str:
     raise ValueError(f"K/N is the K-th of N parts of the episodes, as 1/16 (got {value})")
 
 
+# As Minari has it, the namespace's folders without a name of their own left out.
+_DATASET_ID = re.compile(r"([-\w]{2,}/)*[-\w]+-v\d+", re.ASCII)
+
+
+def _dataset_id(value: str) -> str:
+    if _DATASET_ID.fullmatch(value):
+        return value
+    raise ValueError(
+        f"NAMESPACE/NAME-vN names a dataset of Minari, as dune_rl/flat/planner-v0: letters, digits, - and _ "
+        f"(got {value})"
+    )
+
+
 Processes = Annotated[int | Literal["ray"], BeforeValidator(_processes)]
 
 
@@ -155,6 +169,7 @@ class EvaluateConf(EnvConf):
     cross_play: bool = False
     populations: Names = ()
     part: Annotated[str, AfterValidator(_part)] | None = None
+    dataset: Annotated[str, AfterValidator(_dataset_id)] | None = None
     out: str | None = Field(None, min_length=1)
     overwrite: bool = False
 
@@ -184,6 +199,7 @@ class EvaluateConf(EnvConf):
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
+        fault = self._fault_of_dataset()
         alone = [name for name in ("runs", "run_steps") if getattr(self, name) is not None]
         faults = (
             (
@@ -221,6 +237,7 @@ class EvaluateConf(EnvConf):
                 self.cross_play and self.protocol is not None,
                 "cross_play counts episodes, and a protocol runs; leave protocol out",
             ),
+            (bool(fault), fault),
             (
                 not (self.checkpoint or self.policy),
                 f"choose a policy: checkpoint=PATH, or policy=NAME with {', '.join(_BUILT_IN_POLICIES)}, "
@@ -231,3 +248,27 @@ class EvaluateConf(EnvConf):
             if is_fault:
                 raise ValueError(message)
         return self
+
+    def _fault_of_dataset(self) -> str:
+        """Why the episodes cannot be a dataset; empty where they can, or none is asked for."""
+        if self.dataset is None:
+            return ""
+        dataset = f"dataset={self.dataset}"
+        beside = (
+            ("protocol", self.protocol is not None, "whose last episodes are cut off; take episodes=N"),
+            ("cross_play", self.cross_play, "which has many evaluations; make a dataset of each"),
+            ("part", self.part is not None, "which has some of the episodes; take processes=N"),
+            ("processes=ray", self.processes == RAY, "whose nodes share no folder; take processes=N"),
+        )
+        for name, is_set, reason in beside:
+            if is_set:
+                return f"{dataset} does not go with {name}, {reason}"
+        if len({*self.checkpoint, *self.policy, *self.against}) > 1:
+            return f"{dataset} is of one policy; evaluate each into a dataset of its own"
+        groups = self.external_groups
+        agents = [agent for group in groups for agent in group.agents]
+        if len(agents) > 1:
+            return f"{dataset} is of one agent, as Gymnasium has it, and here are {', '.join(agents)}"
+        if groups[0].presence is not None:
+            return f"{dataset} is of an agent that is there in all of an episode; leave its presence out"
+        return ""

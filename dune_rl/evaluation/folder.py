@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
@@ -23,6 +24,8 @@ CONFIG, PROVENANCE, COLUMNS = "config.yaml", "provenance.json", "columns.csv"
 EPISODES, STEPS, COMPARISON, SUMMARY = "episodes", "steps", "comparison", "summary"
 RUNS, ATTEMPTS = "runs", "attempts"
 PART = "episodes.part.jsonl"
+# The folder of the transitions of finished episodes, until they are a dataset.
+TRANSITIONS = "transitions.part"
 _TABLES = tuple(f"{stem}{suffix}" for stem in (EPISODES, STEPS) for suffix in (".csv", ".parquet"))
 _FILES = (CONFIG, PROVENANCE, COLUMNS, PART, *_TABLES)
 _FILES += tuple(f"{stem}.csv" for stem in (COMPARISON, SUMMARY, RUNS, ATTEMPTS))
@@ -59,6 +62,7 @@ class ResultsFolder:
         left_over = [each for each in path.iterdir() if _is_temporary(each.name)]
         for old in (*(path / name for name in _FILES), *left_over):
             old.unlink(missing_ok=True)
+        shutil.rmtree(path / TRANSITIONS, ignore_errors=True)
         with write_atomically(path / CONFIG) as temporary:
             text = yaml.safe_dump(conf.model_dump(mode="json"), sort_keys=False)
             temporary.write_text(text, encoding="utf-8")
@@ -89,6 +93,7 @@ class ResultsFolder:
         """Remove what was written, and the folder if nothing else is in it."""
         for name in _FILES:
             (self.path / name).unlink(missing_ok=True)
+        shutil.rmtree(self.path / TRANSITIONS, ignore_errors=True)
         self._lock.release()
         with contextlib.suppress(OSError):
             self.path.rmdir()
@@ -135,6 +140,7 @@ class ResultsFolder:
         """Note the checksums of all files that were written, and that there is no more to resume."""
         self.write_provenance(complete=True)
         (self.path / PART).unlink(missing_ok=True)
+        shutil.rmtree(self.path / TRANSITIONS, ignore_errors=True)
 
     def write_provenance(self, *, complete: bool) -> None:
         """Write provenance.json, which has the files' checksums and says whether they are `complete`."""
@@ -156,7 +162,9 @@ def check_free(path: Path, *, overwrite: bool) -> None:
     if not path.is_dir():
         return
     names = sorted(each.name for each in path.iterdir())
-    others = [name for name in names if name not in (*_FILES, ".lock") and not _is_temporary(name)]
+    others = [
+        name for name in names if name not in (*_FILES, TRANSITIONS, ".lock") and not _is_temporary(name)
+    ]
     if others:
         raise ConfigError(f"out={path} holds other files ({others[0]}); choose another folder")
     if overwrite or not any(name in _FILES for name in names):

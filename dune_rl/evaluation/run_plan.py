@@ -8,6 +8,7 @@ from rich.console import Console
 from dune_rl.config.commands import Processes
 from dune_rl.core.files import write_csv
 from dune_rl.evaluation.blocks import EpisodeBlock, FinishedEpisode, missing_blocks
+from dune_rl.evaluation.datasets.writing import dataset_spaces, write_dataset
 from dune_rl.evaluation.folder import ATTEMPTS, COMPARISON, RUNS, SUMMARY, ResultsFolder
 from dune_rl.evaluation.processes import run_in_processes
 from dune_rl.evaluation.protocols.report import attempt_rows, estimate_runs, finished_runs, show_runs
@@ -50,6 +51,7 @@ def run_plan(
     `resume`, or else by the folder.
     """
     agents = runner.agents
+    spaces = None if plan.transitions is None else dataset_spaces(runner.env)
     has_runs = plan.conf.protocol is not None
     unit = "runs" if has_runs else "episodes"
 
@@ -106,6 +108,9 @@ def run_plan(
         console.print(text, highlight=False, soft_wrap=True)
         return
     _report(plan, folder, agents, console)
+    if spaces is not None:
+        written = write_dataset(plan, folder, spaces)
+        console.print(f"Dataset: {written}", highlight=False, markup=False, soft_wrap=True)
     folder.complete()
     console.print(f"Results: {folder.path}", highlight=False, soft_wrap=True)
 

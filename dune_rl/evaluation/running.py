@@ -3,14 +3,17 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any, Self
 
 import torch
+from tensordict import TensorDictBase
 
 from dune_rl.config.build import make_learning_env
 from dune_rl.config.commands import EvaluateConf
 from dune_rl.core.errors import ConfigError
 from dune_rl.evaluation.blocks import EpisodeBlock, FinishedEpisode
+from dune_rl.evaluation.datasets.transitions import TransitionRecorder
 from dune_rl.evaluation.episode_sets.apply import plan_of_set
 from dune_rl.evaluation.episode_sets.files import EpisodeSet, read_episode_set
 from dune_rl.evaluation.policies import PolicySource, UserPolicy, policy_sources
@@ -27,11 +30,15 @@ from dune_rl.statistics.measures import WORLD_SEED, MetricsRow
 
 @dataclass(frozen=True)
 class EvaluationPlan:
-    """What is evaluated: the settings, the policies, and the set (None: sampled episodes)."""
+    """What is evaluated: the settings, the policies, and the set (None: sampled episodes).
+
+    `transitions` is the folder to which those of each episode are written; None: nowhere.
+    """
 
     conf: EvaluateConf
     sources: tuple[PolicySource, ...]
     episode_set: EpisodeSet | None
+    transitions: Path | None = None
 
     @classmethod
     def of_settings(cls, conf: EvaluateConf) -> Self:
@@ -165,6 +172,18 @@ class _Emitter(EpisodeRecorder):
         conf = runner.plan.conf
         super().__init__(runner.env.base_env.simulation, steps=conf.steps, actors=conf.actor_steps)
         self._runner, self._policy, self._emit = runner, policy, emit
+        folder = runner.plan.transitions
+        self._transitions = None if folder is None else TransitionRecorder(runner.env, folder)
+
+    def begin(self) -> None:
+        super().begin()
+        if self._transitions is not None:
+            self._transitions.begin()
+
+    def step(self, after: TensorDictBase) -> None:
+        super().step(after)
+        if self._transitions is not None:
+            self._transitions.step(after)
 
     def finish(self, rows: Mapping[str, list[MetricsRow]]) -> None:
         super().finish(rows)
@@ -173,6 +192,9 @@ class _Emitter(EpisodeRecorder):
             group: [self._runner.record(self._policy, group, row) for row in agents]
             for group, agents in rows.items()
         }
+        if self._transitions is not None:
+            # Before the episode counts as finished.
+            self._transitions.finish(episode)
         name = self._runner.plan.sources[self._policy].name
         steps = [{"policy": name, **step} for step in self.take_steps()]
         self._emit(FinishedEpisode(self._policy, episode, by_group, steps))

@@ -1,0 +1,1 @@
+"""Evaluations as Minari datasets: what the agent observed and did in every step, for offline learning."""
