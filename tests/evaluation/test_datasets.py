@@ -10,15 +10,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from documents import DOCS, ROOT, code_blocks
 
 import dune_rl
 from dune_rl import evaluate
 from dune_rl.commands import evaluate as command
+from dune_rl.evaluation.datasets import transitions
 from dune_rl.evaluation.folder import ResultsFolder
 
 Call = Callable[..., int]
-EXAMPLES = Path(__file__).parents[2] / "examples"
-NAME = "dune_rl/flat/go-v0"
+NAME = "dune_rl/flat/go_to_goal-v0"
 # Six steps: the first two episodes reach their goals no sooner.
 TASK = {"name": "paper", "terminations": {"time_limit": {"max_steps": 6}}}
 WORDS = ("+world=flat", "actors=none", "policy=go_to_goal", "task.terminations.time_limit.max_steps=6")
@@ -37,6 +38,8 @@ def dataset(minari: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[A
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         patch.setenv("MINARI_DATASETS_PATH", str(folder / "minari"))
+        # So that arrays must grow.
+        patch.setattr(transitions, "_FIRST_CAPACITY", 2)
         command.run([*WORDS, "seed=5", "episodes=3", "scenes=2", f"dataset={NAME}", "out=results"])
         yield minari.load_dataset(NAME)
 
@@ -115,6 +118,14 @@ def test_metadata_and_datasheet_say_what_made_it(dataset: Any) -> None:
     assert (dataset.storage.data_path.parent / "DATASHEET.md").read_text() == sheet
     returns = [known["return"] for known in dataset.storage.get_episode_metadata(range(3))]
     assert returns == pytest.approx([episode.rewards.sum() for episode in dataset], abs=1e-4)
+
+
+def test_the_code_of_the_page_reads_it(dataset: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    (text,) = [
+        text for language, text in code_blocks(DOCS / "how_to" / "datasets.md") if language == "python"
+    ]
+    exec(compile(text, "datasets.md", "exec"), {"__name__": "__main__"})
+    assert capsys.readouterr().out.startswith("3 18 Dict(")
 
 
 @pytest.mark.slow(all_but=["scenes"])
@@ -211,6 +222,22 @@ def test_the_extra_is_named_where_it_is_missing(
 
 
 @pytest.mark.slow
+def test_episodes_of_all_lengths_among_walkers(minari: Any, call: Call, local: Path) -> None:
+    words = ("+world=flat", "policy=planner", "physics.action_repeat=2", "seed=3", "episodes=5", "scenes=3")
+    limit = "task.terminations.time_limit.max_steps=120"
+    assert call(evaluate.main, *words, limit, "dataset=mine-v0", "out=results") == 0
+    dataset = minari.load_dataset("mine-v0")
+    assert len({len(episode) for episode in dataset}) > 2
+    assert {True, False} == {bool(episode.terminations[-1]) for episode in dataset}
+    rows = list(csv.DictReader(Path("results/episodes.csv").read_text().splitlines()))
+    env = dataset.recover_environment()
+    for number, (episode, row) in enumerate(zip(dataset, rows, strict=True)):
+        assert episode.infos["steps"][-1] == float(row["steps"]) <= 2 * len(episode)
+        assert_repeats(episode, env.unwrapped, 3, number)
+    env.close()
+
+
+@pytest.mark.slow
 def test_the_episodes_of_a_set_are_made_again(minari: Any, call: Call, local: Path) -> None:
     words = ("set=inspection-v1", "policy=go_to_goal", "episodes=2", "scenes=2")
     assert call(evaluate.main, *words, "dataset=mine-v0", "out=results") == 0
@@ -246,7 +273,7 @@ def _successes(path: Path) -> list[float]:
 def test_a_clone_of_a_driver_reaches_goals_in_new_episodes(
     minari: Any, call: Call, local: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.syspath_prepend(EXAMPLES)
+    monkeypatch.syspath_prepend(ROOT / "examples")
     example = importlib.import_module("behaviour_cloning")
     words = ("+world=flat", "actors=none", "scenes=20")
     own = ("policy=go_to_goal", "episodes=30", f"dataset={NAME}", "out=driver")
@@ -267,7 +294,7 @@ def test_a_clone_of_a_driver_reaches_goals_in_new_episodes(
 def test_a_clone_learns_nothing_from_failures(
     dataset: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.syspath_prepend(EXAMPLES)
+    monkeypatch.syspath_prepend(ROOT / "examples")
     example = importlib.import_module("behaviour_cloning")
     with pytest.raises(SystemExit, match=f"no episode of {NAME} succeeded; add --all-episodes"):
         example.main([NAME])

@@ -29,8 +29,8 @@ def write_datasheet(
     lines = [
         f"# {name}",
         "",
-        f"{len(rows)} episode{'s' * (len(rows) > 1)}, {transitions} transitions of `{policy['name']}` in the world `{conf.world.name}`, "
-        f"simulated by dune_rl {origin['version']}.",
+        f"{len(rows)} episode{'s' * (len(rows) > 1)}, {transitions} transitions of `{policy['name']}` "
+        f"in the world `{conf.world.name}`, simulated by dune_rl {origin['version']}.",
         "",
         "## Origin",
         "",
@@ -55,7 +55,7 @@ def write_datasheet(
         "| terminations | () | bool | | | the episode ended by the task, as at a goal or a collision |",
         "| truncations | () | bool | | | the episode was cut off, as by its limit of steps |",
         "",
-        "`infos` has the metrics of the episode so far, one more than there are actions; -1: not defined yet.",
+        "`infos` has the metrics of the episode so far, with each observation; -1: not defined yet.",
         "The metadata of an episode have its final metrics, seed, number, world seed, start and goal:",
         "",
         "| name | unit | meaning |",
@@ -75,17 +75,16 @@ def write_datasheet(
         "",
         "## Licence",
         "",
-        "The data hold no personal data and nothing of other people but the world's files, where it has some. "
-        "dune_rl is under the MIT licence, which does not extend to the data: who publishes them names "
-        "a licence.",
+        "The data are of a simulation and about no real person. dune_rl is under the MIT licence, which does "
+        "not extend to the data: state a licence when you publish them. Files of worlds keep their own.",
         "",
         "## Known limits",
         "",
-        "- One policy acted, without exploration: states that it never meets are not there.",
-        "- All is simulated: sensors, ground contact and people are models.",
-        "- The environment needs dune_rl, and files of worlds and sets that it does not bring along; bytes "
-        "repeat on one kind of processor.",
-        "- Rewards and ends are those of the task's settings; compare policies by the metrics.",
+        "- One policy acted, without exploration: what it never meets is not in the data.",
+        "- Sensors, contact with the ground and moving actors are models.",
+        "- The environment needs dune_rl, and the files of its world and its set where it has some. Numbers "
+        "repeat on one kind of processor; another may round differently.",
+        "- Rewards and ends are of the task's settings; compare policies by the metrics.",
         "",
     ]
     return "\n".join(lines)
