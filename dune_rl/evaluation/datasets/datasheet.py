@@ -85,9 +85,19 @@ def write_datasheet(
         "- The environment needs dune_rl, and the files of its world and its set where it has some. Numbers "
         "repeat on one kind of processor; another may round differently.",
         "- Rewards and ends are of the task's settings; compare policies by the metrics.",
+        *_limits_of_held_actions(conf),
         "",
     ]
     return "\n".join(lines)
+
+
+def _limits_of_held_actions(conf: EvaluateConf) -> list[str]:
+    if conf.physics.action_repeat == 1:
+        return []
+    return [
+        f"- An action is held for {conf.physics.action_repeat} control steps. Where an episode ends between "
+        "them, its last observation may be of moving actors a control step later."
+    ]
 
 
 def _weights(policy: Mapping[str, Any]) -> str:

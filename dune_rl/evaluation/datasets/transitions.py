@@ -49,13 +49,16 @@ class TransitionRecorder:
         self._arrays: Values = {}
         self._scenes = np.arange(self._simulation.num_scenes)
         self._steps = np.zeros_like(self._scenes)
+        self._ended = np.zeros(len(self._scenes), bool)
 
     def begin(self) -> None:
         """Forget the steps of scenes that have made none."""
-        self._steps[self._simulation.steps == 0] = 0
+        fresh = self._simulation.steps == 0
+        self._steps[fresh] = 0
+        self._ended[fresh] = False
 
     def step(self, after: TensorDictBase) -> None:
-        """Add a step of all scenes that do not rest; `after` is what TorchRL's `step` returns."""
+        """Add a step of the scenes whose episode has not ended; `after` is what TorchRL's `step` returns."""
         before, then = after[self._group], after["next", self._group]
         over = after["next", "done"].reshape(-1).numpy()
         terminated = over & _of_agent(then["terminated"])[:, 0]
@@ -68,20 +71,22 @@ class TransitionRecorder:
         self._reserve(values)
         for key, value in values.items():
             self._arrays[key][self._steps, self._scenes] = value
-        active = ~self._simulation.resting
-        self._steps += active
-        if (over & active).any():
-            self._add_last(self._seen(then), over & active)
+        # A scene that rests may have ended in this very step, between two of its control steps.
+        self._steps += ~self._ended
+        ends = over & ~self._ended
+        self._ended |= ends
+        if ends.any():
+            self._add_last(self._seen(then), ends)
 
     def _seen(self, part: TensorDictBase) -> Values:
         """What is known before an action, (M, ...) each: readings by sensor, and the metrics so far."""
         readings = {f"{OBSERVATIONS}/{key}": _of_agent(value) for key, value in part["observation"].items()}
         return readings | {INFOS: _of_agent(part["metrics"])}
 
-    def _add_last(self, seen: Values, over: Flags) -> None:
-        """Add what was observed after the last steps of the scenes that are `over` (M,)."""
+    def _add_last(self, seen: Values, ends: Flags) -> None:
+        """Add what was observed after the last steps of the scenes in `ends` (M,)."""
         for key, value in seen.items():
-            self._arrays[key][self._steps[over], self._scenes[over]] = value[over]
+            self._arrays[key][self._steps[ends], self._scenes[ends]] = value[ends]
 
     def _reserve(self, values: Values) -> None:
         """Make room for this step and the observation after it."""
