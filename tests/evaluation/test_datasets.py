@@ -1,6 +1,7 @@
 """Evaluations as Minari datasets: what Minari reads is what the environment gave."""
 
 import csv
+import hashlib
 import importlib
 import json
 import sys
@@ -257,6 +258,21 @@ def test_the_episodes_of_a_set_are_made_again(minari: Any, call: Call, local: Pa
     env = dataset.recover_environment()
     assert_repeats(dataset[1], env.unwrapped, known[1]["seed"], 1)
     env.close()
+
+
+@pytest.mark.slow
+def test_weights_of_a_checkpoint_are_known_by_their_checksum(minari: Any, call: Call, local: Path) -> None:
+    file = ROOT / "experiments" / "inspection" / "policy.pt"
+    words = (f"checkpoint={file}", "episodes=1", "task.terminations.time_limit.max_steps=4")
+    assert call(evaluate.main, *words, "dataset=mine-v0", "out=results") == 0
+    content = minari.load_dataset("mine-v0").storage.metadata
+    checksum = hashlib.sha256(file.read_bytes()).hexdigest()
+    assert (
+        content["algorithm_name"] == "sac: inspection" and content["dune_rl"]["policy"]["sha256"] == checksum
+    )
+    assert f"SHA-256 `{checksum}`" in content["description"]
+    # The settings are the environment's: no path of this machine is among them.
+    assert str(ROOT) not in json.dumps(content["dune_rl"]) + content["description"]
 
 
 @pytest.mark.slow

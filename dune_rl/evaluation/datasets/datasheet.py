@@ -70,7 +70,7 @@ def write_datasheet(
         f'dataset = minari.load_dataset("{name}")',
         "env = dataset.recover_environment()",
         "first = next(iter(dataset.storage.get_episode_metadata([0])))",
-        'observation, info = env.reset(seed=first["seed"], options={"episode": first["episode"]})',
+        'observation, info = env.reset(seed=first["seed"], options=first["options"])',
         "```",
         "",
         "## Licence",

@@ -30,6 +30,7 @@ from dune_rl.evaluation.folder import TRANSITIONS, ResultsFolder
 from dune_rl.evaluation.policies import PolicySource
 from dune_rl.evaluation.running import EvaluationPlan
 from dune_rl.learning.checkpoint import interpreting, read_policy_file
+from dune_rl.learning.saved_policies import saved_entry
 
 DATASHEET = "DATASHEET.md"
 
@@ -178,7 +179,7 @@ def describe_origin(plan: EvaluationPlan, provenance: Mapping[str, Any]) -> dict
     """Plain data on what made the episodes: policy and weights, version, commit, set and settings."""
     (policy,), (source,) = provenance["policies"], plan.sources
     return {
-        "algorithm": _algorithm(source),
+        "algorithm": _algorithm(source, plan.conf.external_groups[0].name),
         "policy": {key: policy[key] for key in ("name", "kind", "sha256", "trained")},
         "version": VERSION,
         "git": provenance["git"],
@@ -191,10 +192,10 @@ def describe_origin(plan: EvaluationPlan, provenance: Mapping[str, Any]) -> dict
     }
 
 
-def _algorithm(source: PolicySource) -> str:
-    """The policy's name, behind the algorithm by which it was trained."""
+def _algorithm(source: PolicySource, group: str) -> str:
+    """The policy's name, behind the algorithm by which it was trained for `group`."""
     if source.kind != "checkpoint" or source.file is None:
         return source.name
     file, content = read_policy_file(source.file)
     with interpreting(file):
-        return f"{content['config']['learning']['name']}: {source.name}"
+        return f"{saved_entry(content['groups'], file, group)['algorithm']}: {source.name}"
