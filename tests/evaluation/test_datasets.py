@@ -175,6 +175,8 @@ def test_a_dataset_is_replaced_by_overwrite_alone(
 ) -> None:
     own = ("episodes=1", "dataset=mine-v0")
     assert call(evaluate.main, *WORDS, *own, "out=first") == 0
+    assert call(evaluate.main, *WORDS, "episodes=1", "out=without") == 0
+    assert Path("first/episodes.csv").read_text() == Path("without/episodes.csv").read_text()
     assert call(evaluate.main, *WORDS, *own, "out=second", "seed=1") == 2
     assert f"dataset=mine-v0 is there already, in {local / 'mine-v0'}; choose" in capsys.readouterr().err
     assert not Path("second").exists()
