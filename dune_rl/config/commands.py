@@ -124,7 +124,7 @@ def _part(value: str) -> str:
     raise ValueError(f"K/N is the K-th of N parts of the episodes, as 1/16 (got {value})")
 
 
-# As Minari has it, the namespace's folders without a name of their own left out.
+# Minari's pattern of names with a version, without empty folders in the namespace.
 _DATASET_ID = re.compile(r"([-\w]{2,}/)*[-\w]+-v\d+", re.ASCII)
 
 

@@ -70,7 +70,7 @@ def _dataset_path(name: str) -> Path:
 
 @dataclass(frozen=True)
 class DatasetSpaces:
-    """The spaces of the one agent of an environment, and the sensors' readings among its observation."""
+    """The observation space and the action space of the one agent of an environment."""
 
     observation: gymnasium.spaces.Dict
     action: gymnasium.spaces.Box
@@ -170,7 +170,7 @@ def _entries(values: Values, section: str) -> Values:
 
 
 def _episode_row(folder: ResultsFolder, episode: int) -> dict[str, Any]:
-    """The row of an episode in the results, without what is not known, or named by words with a "/"."""
+    """The row of an episode in the results, without unknown values and names with a "/"."""
     (rows,) = folder.finished[0, episode].rows.values()
     return {key: value for key, value in rows[0].items() if value is not None and "/" not in key}
 
