@@ -51,6 +51,7 @@ class EpisodeRecorder:
         self._starts: dict[str, Array] = {}
         self._steps: list[list[StepRow]] = [[] for _ in range(simulation.num_scenes)]
         self._finished: list[StepRow] = []
+        self._ended = np.zeros(simulation.num_scenes, bool)
 
     def begin(self) -> None:
         """Note starts and goals of scenes that have made no step."""
@@ -59,6 +60,7 @@ class EpisodeRecorder:
             self._note_starts(group, np.repeat(fresh, group.count))
         for scene in np.flatnonzero(fresh).tolist():
             self._steps[scene] = []
+        self._ended[fresh] = False
 
     def _note_starts(self, group: AgentGroup, chosen: Flags) -> None:
         """Note where the agents in `chosen` (N,) are and are to go."""
@@ -75,14 +77,17 @@ class EpisodeRecorder:
         if not self._every:
             return
         over = after["next", "done"].reshape(-1).numpy()
-        # Nobody asks for more of scenes whose last episode has ended.
-        due = ((self._simulation.steps % self._every == 0) | over) & ~self._simulation.resting
+        # Nobody asks for more of scenes whose last episode has ended. They may have ended in this very step,
+        # between two control steps of a held action.
+        due = ((self._simulation.steps % self._every == 0) | over) & ~self._ended
+        self._ended |= over
         for group in self._groups:
             state = self._simulation.state.groups[group.name]
+            before, now = (part[group.name, "done"].flatten().numpy() for part in (after, after["next"]))
             # An agent's own last step is kept as well, while its scene goes on.
-            chosen = np.repeat(due, group.count) | group.done
+            chosen = (np.repeat(due, group.count) | now) & ~before
             # It makes no step in the one in which it comes.
-            chosen &= ~state.done & (state.episode.steps > 0)
+            chosen &= state.episode.steps > 0
             self._record(group.names, chosen, self._columns(state) | _task_columns(state, after))
         for group in self._actors:
             state = self._simulation.state.groups[group.name]

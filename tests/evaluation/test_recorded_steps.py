@@ -1,6 +1,7 @@
 """What rows of episodes and steps have beside metrics: the way to the goal, thinned steps, actors."""
 
 import csv
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
@@ -66,6 +67,13 @@ def test_each_nth_step_and_the_last_are_those_of_all_steps(call: Call, folder: P
         assert [int(row["step"]) for row in kept] == sorted({*range(5, last, 5), last})
     assert all(row in full for row in some)
     assert {row["agent"] for row in some} == {"rover_0"}
+
+
+def test_an_episode_that_ends_amid_a_held_action_keeps_its_last_step(call: Call, folder: Path) -> None:
+    # Of 13 control steps, held for 4 each: the fourth action is the last, and ends after its first.
+    assert call(evaluate.main, *WORDS, LIMIT, "physics.action_repeat=4", "steps=true") == 0
+    counts = Counter(row["episode"] for row in read(folder / "results" / "steps.csv"))
+    assert counts == {"0": 4, "1": 4, "2": 4}
 
 
 def test_actors_have_rows_with_a_pose_by_option(call: Call, folder: Path) -> None:
