@@ -116,12 +116,16 @@ def _evaluate(conf: EvaluateConf) -> None:
     from dune_rl.evaluation.provenance import describe_provenance
     from dune_rl.evaluation.run_plan import prepare_run, run_plan
     from dune_rl.evaluation.running import EvaluationPlan
+    from dune_rl.ros.bag import check_bags
 
     plan = EvaluationPlan.of_settings(conf)
     out = Path(conf.out) if conf.out else default_folder(plan)
     check_writable(out)
     check_free(out, overwrite=conf.overwrite)
     plan = plan_with_dataset(plan, out)
+    if conf.bag is not None:
+        names = [source.name for source in plan.sources]
+        check_bags(Path(conf.bag), names, plan.part_of(conf), plan.scenes, overwrite=conf.overwrite)
     # Before the folder is made: a policy that does not fit leaves nothing behind.
     prepared = prepare_run(plan)
     console = command_line.make_console()
@@ -215,7 +219,8 @@ def _verify(path: Path, sample: int, trusted: Sequence[str]) -> None:
     from dune_rl.evaluation.verify import verify_folder
 
     provenance = read_provenance(path)
-    plan = EvaluationPlan.of_settings(read_settings(path))
+    # Bags are not written again.
+    plan = EvaluationPlan.of_settings(read_settings(path).model_copy(update={"bag": None}))
     check_same_sources(plan, provenance, path, trusted)
     verify_folder(path, plan, sample, command_line.make_console())
 

@@ -131,6 +131,7 @@ PAGES: Mapping[str, HelpPage] = {
             ("steps=true", "a row for each step too; steps=N for each N-th"),
             ("actor_steps=true", "with steps: rows of walkers too"),
             ("dataset=NAME-v0", "also a Minari dataset of all transitions, for offline learning"),
+            ("bag=FOLDER", "a ROS 2 bag of each episode, as standard messages; needs dune_rl[ros]"),
             ("out=FOLDER", "of the results; overwrite=true replaces what is there"),
             ("sample=N", "with verify: how many episodes to repeat"),
         ),
@@ -138,6 +139,35 @@ PAGES: Mapping[str, HelpPage] = {
             "A checkpoint brings the settings of its run; what you write changes them. Equal\n"
             "seeds and settings give every policy the same episodes, so that results pair."
         ),
+    ),
+    "drive": HelpPage(
+        "Play a ROS 2 bag of a robot into a trained policy, and list its actions.",
+        (
+            ("python -m dune_rl.drive bag=FOLDER checkpoint=runs/NAME", "print them as CSV"),
+            (
+                "python -m dune_rl.drive bag=FOLDER checkpoint=runs/NAME out=actions.csv",
+                "write them to a file",
+            ),
+            (
+                "python -m dune_rl.drive bag=FOLDER checkpoint=runs/NAME topics.lidar=/front/scan",
+                "a scan of another name",
+            ),
+        ),
+        (
+            ("bag=FOLDER", "a rosbag2 folder (MCAP or SQLite)"),
+            ("checkpoint=PATH", "a run's folder, or a file of weights"),
+            (
+                "topics.SENSOR=TOPIC",
+                "of a sensor, where it is not the default in docs/how_to/ros.md",
+            ),
+            ("robot=NAME", "whose topics, where the bag has those of several, such as rover_0"),
+            ("base=FRAME", "frame of the robot's body; else base_link"),
+            ("period_s=S", "between two actions; else that of the bag or of the policy's run"),
+            ("out=FILE.csv", "of the actions; else they are printed"),
+            ("overwrite=true", "replaces the file that is there"),
+        ),
+        "ROS is not needed, but rosbags is: pip install 'dune_rl[ros]'.",
+        options=False,
     ),
     "forecast": HelpPage(
         "Learn where the agents will be that a robot tracks.",

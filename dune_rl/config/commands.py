@@ -166,6 +166,7 @@ class EvaluateConf(EnvConf):
     processes: Processes = 1
     steps: Annotated[bool | int, BeforeValidator(_steps_kept)] = False
     actor_steps: bool = False
+    bag: str | None = Field(None, min_length=1)
     cross_play: bool = False
     populations: Names = ()
     part: Annotated[str, AfterValidator(_part)] | None = None
@@ -228,6 +229,11 @@ class EvaluateConf(EnvConf):
             (
                 self.populations and not self.cross_play,
                 "populations are of a cross-play; give cross_play=true as well",
+            ),
+            (
+                self.bag is not None and (self.protocol is not None or self.cross_play),
+                f"bag={self.bag} records the episodes of one evaluation; leave it out, or "
+                f"{'cross_play' if self.cross_play else 'protocol'}",
             ),
             (
                 self.cross_play and self.part is not None,

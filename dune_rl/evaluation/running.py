@@ -1,6 +1,6 @@
 """Runs blocks of episodes in one environment."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -25,6 +25,8 @@ from dune_rl.evaluation.tables import plain_number
 from dune_rl.learning.evaluation import EpisodeObserver, evaluate
 from dune_rl.learning.group_policy import Policy
 from dune_rl.learning.process import preserve_random_state
+from dune_rl.ros.bag import policy_folders
+from dune_rl.ros.recorder import BagRecorder
 from dune_rl.statistics.measures import WORLD_SEED, MetricsRow
 
 
@@ -99,8 +101,33 @@ class BlockRunner:
         """Run a block and `emit` its episodes, in the order in which they end; of runs, in their order."""
         if self.plan.conf.protocol is not None:
             self._run_steps(block, emit)
+        elif self.plan.conf.bag is not None:
+            self._run_recorded(block, emit)
         else:
             self.watch(block, _Emitter(self, block.policy, emit))
+
+    def _run_recorded(self, block: EpisodeBlock, emit: Callable[[FinishedEpisode], None]) -> None:
+        """Run a block of episodes, and write a bag of each."""
+        conf, name = self.plan.conf, self.plan.sources[block.policy].name
+        folders = policy_folders(Path(conf.bag or ""), [source.name for source in self.plan.sources])
+        episode_set = self.plan.episode_set
+        recorder = BagRecorder(
+            self.env.base_env.simulation,
+            folders[block.policy],
+            range(block.first, block.first + block.count),
+            {
+                "policy": name,
+                "seed": conf.seed,
+                "world": conf.world.name,
+                "set": None if episode_set is None else episode_set.name,
+                "decision_s": conf.physics.control_step_s * conf.physics.action_repeat,
+            },
+        )
+        try:
+            # The bag first: an episode that counts as finished has one.
+            self.watch(block, _InTurn((recorder, _Emitter(self, block.policy, emit))))
+        finally:
+            recorder.close()
 
     def watch(self, block: EpisodeBlock, observer: EpisodeObserver) -> None:
         """Run a block of episodes; `observer` is called at their steps and ends."""
@@ -163,6 +190,25 @@ class BlockRunner:
 
     def close(self) -> None:
         self.env.close()
+
+
+class _InTurn:
+    """Calls several observers one after another."""
+
+    def __init__(self, observers: Sequence[EpisodeObserver]) -> None:
+        self._observers = observers
+
+    def begin(self) -> None:
+        for observer in self._observers:
+            observer.begin()
+
+    def step(self, after: TensorDictBase) -> None:
+        for observer in self._observers:
+            observer.step(after)
+
+    def finish(self, rows: Mapping[str, list[MetricsRow]]) -> None:
+        for observer in self._observers:
+            observer.finish(rows)
 
 
 class _Emitter(EpisodeRecorder):

@@ -106,6 +106,10 @@ class SensorSuite:
             readings |= sensor.read()
         return readings
 
+    def without_timing(self, name: str) -> Sensor:
+        """The sensor `name` as it measures in every control step, before a device's rate and latency."""
+        return self._sensor(name)
+
     def _sensor(self, name: str) -> Sensor:
         """The sensor `name` without rate, latency and noise, built when it is first asked for."""
         if name not in self._exact:

@@ -1,0 +1,118 @@
+"""Bags of episodes: where they lie, and how one is written so that it appears when it is complete."""
+
+import contextlib
+import json
+import os
+import shutil
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from dune_rl.core.errors import ConfigError
+from dune_rl.core.paths import file_stem
+from dune_rl.ros.library import MessageTypes, latched_qos, message_types, require_rosbags
+
+# Metadata of rosbag2 that ROS 2 Humble and later read.
+_VERSION = 8
+# In the metadata of a bag: what was recorded.
+CUSTOM_KEY = "dune_rl"
+# Each scene writes a file, and processes may open some 1,000.
+MOST_SCENES = 256
+
+
+def policy_folders(folder: Path, policies: Sequence[str]) -> list[Path]:
+    """A folder in `folder` for the bags of each of `policies`, by their names."""
+    found: list[Path] = []
+    for name in policies:
+        stem, number = file_stem(name), 1
+        while (path := folder / (stem if number == 1 else f"{stem}_{number}")) in found:
+            number += 1
+        found.append(path)
+    return found
+
+
+def episode_path(folder: Path, episode: int) -> Path:
+    return folder / f"episode_{episode}"
+
+
+def check_bags(
+    folder: Path, policies: Sequence[str], episodes: Iterable[int], scenes: int, *, overwrite: bool
+) -> None:
+    """Raise ConfigError where the bags of `episodes` cannot be written: before they are run."""
+    require_rosbags()
+    if scenes > MOST_SCENES:
+        raise ConfigError(
+            f"bag={folder} has a file open for each scene; set scenes={MOST_SCENES} or fewer (got {scenes})"
+        )
+    parent = next(each for each in (folder, *folder.absolute().parents) if each.exists())
+    if not parent.is_dir() or not os.access(parent, os.W_OK):
+        raise ConfigError(f"bag={folder} cannot be written; choose another folder")
+    if overwrite:
+        return
+    numbers = list(episodes)
+    for path in policy_folders(folder, policies):
+        there = [number for number in numbers if path.is_dir() and episode_path(path, number).exists()]
+        if there:
+            raise ConfigError(
+                f"bag={folder} holds {episode_path(path, there[0])} already; choose another folder, or "
+                "replace its bags with overwrite=true"
+            )
+
+
+class EpisodeBag:
+    """A bag that is being written, which takes its place at `path` by `complete`, and else by nothing.
+
+    One that is there already is replaced. `told` is what its metadata say of it.
+    """
+
+    def __init__(self, path: Path, told: Mapping[str, Any]) -> None:
+        from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+        self.types: MessageTypes = message_types()
+        self._path, self._folder = path, path.parent / f".{path.name}.tmp"
+        # What a process that was killed left.
+        shutil.rmtree(self._folder, ignore_errors=True)
+        # Its files are called after the folder in which they are made.
+        self._writer = Writer(self._folder / path.name, version=_VERSION, storage_plugin=StoragePlugin.MCAP)
+        self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        self._writer.set_custom_data(CUSTOM_KEY, json.dumps(told))
+        self._writer.open()
+        self._connections: dict[str, Any] = {}
+
+    def write(self, topic: str, message: Any, time_ns: int, *, latched: bool = False) -> None:
+        """Add a message of `topic`; a `latched` one is kept for those who come later."""
+        kind = message.__msgtype__
+        if topic not in self._connections:
+            profiles = [latched_qos()] if latched else []
+            self._connections[topic] = self._writer.add_connection(
+                topic, kind, typestore=self.types.store, offered_qos_profiles=profiles
+            )
+        self._writer.write(self._connections[topic], time_ns, self.types.serialize(message))
+
+    def complete(self) -> None:
+        """Put the bag in its place."""
+        self._writer.close()
+        old = self._folder / "old"
+        if self._path.exists():
+            self._path.rename(old)
+        (self._folder / self._path.name).rename(self._path)
+        shutil.rmtree(self._folder)
+
+    def discard(self) -> None:
+        """Remove what was written."""
+        self._writer.abort()
+        shutil.rmtree(self._folder, ignore_errors=True)
+        # Of a folder in which no bag was completed nothing is left.
+        with contextlib.suppress(OSError):
+            self._path.parent.rmdir()
+            self._path.parent.parent.rmdir()
+
+
+def read_told(reader: Any) -> dict[str, Any]:
+    """What the metadata of a bag say of what was recorded; nothing for bags of others."""
+    text = (reader.storage.metadata.custom or {}).get(CUSTOM_KEY, "{}")
+    try:
+        told = json.loads(text)
+    except ValueError:
+        told = {}
+    return told if isinstance(told, dict) else {}

@@ -1,0 +1,202 @@
+"""Readings of a robot out of a bag: the latest of each sensor at the times at which a policy decides."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from dune_rl.core.errors import ConfigError
+from dune_rl.core.suggestions import one_of
+from dune_rl.ros.bag import read_told
+from dune_rl.ros.codecs import ARRAYS, ArrayCodec, MessageError, SensorCodec, Source
+from dune_rl.ros.library import full_name, message_types, require_rosbags, stamp_ns
+from dune_rl.ros.transforms import BASE, TransformTree
+from dune_rl.sensors.sensor import Reading
+
+_NS = 1_000_000_000
+# A message that is logged so much later than a decision still counts: times of bags are rounded.
+_TOLERANCE_NS = 1_000
+_TF, _TF_STATIC = "/tf", "/tf_static"
+_SHOWN = 6
+
+
+@dataclass(frozen=True)
+class ReadingSource:
+    """A part of an observation: its shape and type, and the codec of its sensor; None for an array's."""
+
+    array: ArrayCodec
+    codec: SensorCodec | None = None
+
+    def sources(self, part: str) -> tuple[Source, ...]:
+        """Where it may come from, the standard message first."""
+        found = [] if self.codec is None else [self.codec.sources[part]]
+        return (*found, *(each for each in (self.array.sources[part],) if each not in found))
+
+
+class BagReadings:
+    """The readings `parts` of one robot in a bag (rosbag2: a folder, an .mcap or a .db3 file).
+
+    `robot` is the namespace of its topics and frames, `base` the frame of its body. `topics` names the topics
+    of parts, or of sensors, that are not called as ours. Raises ConfigError, which says which topic is
+    missing or does not fit.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        parts: Mapping[str, ReadingSource],
+        topics: Mapping[str, str],
+        *,
+        robot: str | None = None,
+        base: str | None = None,
+    ) -> None:
+        require_rosbags("reading bags")
+        self._path, self._parts = path, dict(parts)
+        self._prefix = "" if robot is None else f"{robot.strip('/')}/"
+        self._base = base or f"{self._prefix}{BASE}"
+        with _opened(path) as reader:
+            self._types = {connection.topic: connection.msgtype for connection in reader.connections}
+            self._counts = {topic: info.msgcount for topic, info in reader.topics.items()}
+            self.told = read_told(reader)
+        self._topics = self._choose_topics(topics)
+
+    def _choose_topics(self, named: Mapping[str, str]) -> dict[str, str]:
+        """The topic of each part; raises ConfigError for all that are missing or of another type."""
+        unknown = [name for name in named if not any(_is_of(part, name) for part in self._parts)]
+        if unknown:
+            raise ConfigError(
+                f"topics.{unknown[0]}: the policy reads no {unknown[0]}, but {one_of(sorted(self._parts))}"
+            )
+        found, faults = {}, []
+        for part, each in self._parts.items():
+            chosen = next(
+                (named[name] for name in (part, *named) if name in named and _is_of(part, name)), None
+            )
+            sources = each.sources(part)
+            kinds = tuple(dict.fromkeys(full_name(kind) for one in sources for kind in one.types))
+            defaults = [f"/{self._prefix}{source.topic}" for source in sources]
+            there = [topic for topic in ([chosen] if chosen else defaults) if self._counts.get(topic)]
+            if not there:
+                faults.append(self._describe_missing(part, chosen or defaults[0], kinds))
+            elif self._types[there[0]] not in kinds:
+                faults.append(
+                    f"{there[0]} is of {self._types[there[0]]}, and {part} is read from {one_of(list(kinds))}"
+                )
+            else:
+                found[part] = there[0]
+        if faults:
+            more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
+            raise ConfigError(f"{self._path}: {faults[0]}{more}")
+        return found
+
+    def _describe_missing(self, part: str, topic: str, kinds: Sequence[str]) -> str:
+        fits = [
+            name for name, kind in sorted(self._types.items()) if kind in kinds and self._counts.get(name)
+        ]
+        if not fits:
+            return f"there is no topic {topic} for {part}, nor another of {one_of(list(kinds))}; record one"
+        # With several robots, a topic of one of them ends like the one that is missing.
+        robots = [
+            name.removesuffix(topic).strip("/") for name in fits if name != topic and name.endswith(topic)
+        ]
+        remedy = f"robot={robots[0]} or " if robots and not self._prefix else ""
+        return (
+            f"there is no topic {topic} for {part}; set {remedy}topics.{part}=TOPIC, such as "
+            f"{one_of(fits[:_SHOWN])}"
+        )
+
+    def decisions(self, period_s: float) -> Iterator[tuple[int, dict[str, Reading]]]:
+        """Times [ns] every `period_s`, and the readings of each part that have arrived by then.
+
+        The first is when all parts have arrived, the last one before the last message of any.
+        """
+        first_ns, last_ns = self._extent()
+        frames = self._static_frames()
+        latest: dict[str, Any] = {}
+        by_topic: dict[str, list[str]] = {}
+        for part, topic in self._topics.items():
+            by_topic.setdefault(topic, []).append(part)
+        number = 0
+        for topic, time_ns, message in self._messages({*by_topic, _TF}):
+            while (due_ns := first_ns + round(number * period_s * _NS)) < min(
+                last_ns, time_ns - _TOLERANCE_NS
+            ):
+                yield due_ns, self._decode(latest, frames)
+                number += 1
+            if topic == _TF:
+                frames.add(message)
+            for part in by_topic.get(topic, ()):
+                latest[part] = message
+
+    def _decode(self, latest: Mapping[str, Any], frames: TransformTree) -> dict[str, Reading]:
+        found = {}
+        for part, message in latest.items():
+            source = self._parts[part]
+            is_array = message.__msgtype__ in {full_name(kind) for kind in ARRAYS}
+            codec = source.array if is_array or source.codec is None else source.codec
+            try:
+                found[part] = codec.decode(part, message, frames, self._base)
+            except MessageError as error:
+                topic, at = self._topics[part], ""
+                if hasattr(message, "header"):
+                    at = f" at {stamp_ns(message.header.stamp) / _NS:.3f} s"
+                raise ConfigError(f"{self._path}: {topic}{at} does not fit {part}: {error}") from None
+        return found
+
+    def _extent(self) -> tuple[int, int]:
+        """When the last of the parts has its first message, and the last message of any [ns]."""
+        first: dict[str, int] = {}
+        last = 0
+        with _opened(self._path) as reader:
+            chosen = [each for each in reader.connections if each.topic in self._topics.values()]
+            for connection, time_ns, _ in reader.messages(chosen):
+                first.setdefault(connection.topic, time_ns)
+                last = max(last, time_ns)
+        return max(first.values()), last
+
+    def _static_frames(self) -> TransformTree:
+        frames = TransformTree()
+        for _, _, message in self._messages({_TF_STATIC}):
+            frames.add(message)
+        return frames
+
+    def _messages(self, topics: set[str]) -> Iterator[tuple[str, int, Any]]:
+        """Topic, time [ns] and message of what the bag has of `topics`, in order of time."""
+        store = message_types().store
+        with _opened(self._path) as reader:
+            chosen = [each for each in reader.connections if each.topic in topics]
+            for connection, time_ns, data in reader.messages(chosen) if chosen else ():
+                try:
+                    message = store.deserialize_cdr(data, connection.msgtype)
+                except Exception as error:
+                    raise ConfigError(
+                        f"{self._path}: a message of {connection.topic} ({connection.msgtype}) cannot be "
+                        f"read: {' '.join(str(error).split())}"
+                    ) from None
+                yield connection.topic, time_ns, message
+
+
+def _is_of(part: str, name: str) -> bool:
+    """Whether a part of an observation is the reading `name`, or an output of the sensor `name`."""
+    return part == name or part.startswith(f"{name}_")
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """A reader of a bag; raises ConfigError where there is none."""
+    from rosbags.rosbag2 import Reader
+
+    try:
+        reader = Reader(path)
+        reader.open()
+    except Exception as error:
+        reason = " ".join(str(error).split())
+        raise ConfigError(
+            f"bag={path} is no bag that can be read ({reason}); give a rosbag2 folder, an .mcap or a "
+            ".db3 file"
+        ) from None
+    try:
+        yield reader
+    finally:
+        reader.close()

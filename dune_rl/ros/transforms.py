@@ -1,0 +1,84 @@
+"""Frames of ROS (REP-103 axes, REP-105 names) and the transforms between them."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy
+
+from dune_rl.geometry.arrays import Array
+from dune_rl.geometry.frames import rotation_from_angles, rotation_matrices
+
+MAP, ODOM, BASE = "map", "odom", "base_link"
+# From axes of a body (x forward, y left, z up) to those of pictures (x right, y down, z forward).
+OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+
+@dataclass(frozen=True)
+class FrameMount:
+    """A fixed frame: `name` is `position` (3,) [m] from `parent`, turned by `rotation` (3, 3)."""
+
+    parent: str
+    name: str
+    position: Array
+    rotation: Array
+
+    @classmethod
+    def on_base(cls, name: str, mount_b: Iterable[float] | None, pitch_rad: float = 0.0) -> "FrameMount":
+        """A frame on the body, pitched down by `pitch_rad`; the body's own origin without `mount_b`."""
+        position = np.zeros(3) if mount_b is None else np.array(list(mount_b), np.float64)
+        return cls(BASE, name, position, rotation_from_angles(np.array([0.0, pitch_rad, 0.0])))
+
+
+def quaternion_of(rotation: Array) -> Array:
+    """Unit quaternion xyzw (4,), w at least 0, of a rotation matrix (3, 3)."""
+    found: Array = scipy.spatial.transform.Rotation.from_matrix(rotation).as_quat(canonical=True)
+    return found
+
+
+def relative_pose(outer: tuple[Array, Array], inner: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Position and rotation T with `outer` = T `inner`: where the frame lies that `inner` is in."""
+    rotation = outer[1] @ inner[1].T
+    return outer[0] - rotation @ inner[0], rotation
+
+
+def rotation_of(quaternion: Any) -> Array:
+    """Rotation matrix (3, 3) of a Quaternion message."""
+    return rotation_matrices(np.array([quaternion.x, quaternion.y, quaternion.z, quaternion.w]))
+
+
+class TransformTree:
+    """The latest transforms of /tf and /tf_static, by their child frames."""
+
+    def __init__(self) -> None:
+        self._parents: dict[str, tuple[str, Array, Array]] = {}
+
+    def add(self, message: Any) -> None:
+        """Take the transforms of a TFMessage."""
+        for each in message.transforms:
+            moved, turned = each.transform.translation, each.transform.rotation
+            position = np.array([moved.x, moved.y, moved.z])
+            parent, child = (name.lstrip("/") for name in (each.header.frame_id, each.child_frame_id))
+            self._parents[child] = parent, position, rotation_of(turned)
+
+    def pose(self, frame: str, reference: str) -> tuple[Array, Array] | None:
+        """Position (3,) and rotation (3, 3) of `frame` in `reference`, above it; None where none leads there.
+
+        A frame is at its own origin.
+        """
+        position, rotation = np.zeros(3), np.eye(3)
+        seen: set[str] = set()
+        at = frame.lstrip("/")
+        while at != reference.lstrip("/"):
+            if at not in self._parents or at in seen:
+                return None
+            seen.add(at)
+            at, offset, turn = self._parents[at]
+            position, rotation = offset + turn @ position, turn @ rotation
+        return position, rotation
+
+    @property
+    def frames(self) -> Mapping[str, str]:
+        """The parent of each frame."""
+        return {child: parent for child, (parent, *_) in self._parents.items()}
