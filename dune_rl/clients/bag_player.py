@@ -18,7 +18,7 @@ from dune_rl.learning.group_policy import Deterministic, GroupPolicy
 from dune_rl.learning.networks.policy import BEGINS
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.saved_policies import read_saved_policy, saved_entry
-from dune_rl.ros.codecs import ArrayCodec
+from dune_rl.ros.codecs import ArrayCodec, SensorCodec
 from dune_rl.ros.library import require_rosbags
 from dune_rl.ros.readings import BagReadings, ReadingSource
 from dune_rl.ros.sensor_topics import make_codec
@@ -84,7 +84,7 @@ def reading_sources(
     spec: PolicySpec, settings: Mapping[str, SensorSettings], step_s: float
 ) -> dict[str, ReadingSource]:
     """Where each part that a policy reads comes from, by the settings of the robot's sensors."""
-    codecs = {}
+    codecs: dict[str, SensorCodec] = {}
     for name, conf in settings.items():
         codec = make_codec(name, conf, {}, step_s=step_s)
         codecs |= dict.fromkeys(codec.sources, codec)

@@ -6,14 +6,14 @@ import os
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.paths import file_stem
 from dune_rl.ros.library import MessageTypes, latched_qos, message_types, require_rosbags
 
 # Metadata of rosbag2 that ROS 2 Humble and later read.
-_VERSION = 8
+_VERSION: Final = 8
 # In the metadata of a bag: what was recorded.
 CUSTOM_KEY = "dune_rl"
 # Each scene writes a file, and processes may open some 1,000.

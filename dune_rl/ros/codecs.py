@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -46,32 +46,30 @@ class Source:
     types: tuple[str, ...]
 
 
-class SensorCodec(Protocol):
-    """One sensor's readings as messages, both ways.
+class SensorCodec:
+    """Base of codecs: one sensor's readings as messages, both ways.
 
     `channels` are what it writes, `mounts` its fixed frames, and `sources` where each reading comes from.
     """
 
     channels: tuple[Channel, ...]
-    mounts: tuple[FrameMount, ...]
+    mounts: tuple[FrameMount, ...] = ()
     sources: Mapping[str, Source]
 
     def encode(self, stamp: Stamp, readings: Mapping[str, Reading]) -> Iterator[tuple[str, Any]]:
         """Topics and messages of one robot's `readings`, by name."""
-        ...
+        raise NotImplementedError
 
     def decode(self, reading: str, message: Any, frames: TransformTree, base: str) -> Reading:
         """The reading of a message of its source; raises MessageError where that cannot be.
 
         `frames` are the robot's, whose body is the frame `base`.
         """
-        ...
+        raise NotImplementedError
 
 
-class ArrayCodec:
+class ArrayCodec(SensorCodec):
     """Readings as arrays under `observation/`, for sensors without a standard message."""
-
-    mounts: tuple[FrameMount, ...] = ()
 
     def __init__(self, shapes: Mapping[str, tuple[tuple[int, ...], Any]]) -> None:
         """`shapes` are the shape and the type of each reading by name."""

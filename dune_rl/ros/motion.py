@@ -7,7 +7,7 @@ import numpy as np
 
 from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.frames import roll_pitch_yaw, rotation_from_angles, rotation_from_yaw, wrap_angle
-from dune_rl.ros.codecs import ARRAYS, ArrayCodec, Channel, MessageError, Source, Stamp, topic_of
+from dune_rl.ros.codecs import ARRAYS, ArrayCodec, Channel, MessageError, SensorCodec, Source, Stamp, topic_of
 from dune_rl.ros.transforms import BASE, ODOM, FrameMount, TransformTree, rotation_of
 from dune_rl.sensors.imu import ImuConf
 from dune_rl.sensors.sensor import Reading
@@ -17,7 +17,7 @@ _PLAIN_TWIST, _POSE = "geometry_msgs/Twist", "geometry_msgs/PoseStamped"
 _GOAL_SIZE = 2
 
 
-class ImuCodec:
+class ImuCodec(SensorCodec):
     """An inertial unit: specific force (with gravity), angular velocity, and orientation in the world."""
 
     def __init__(self, name: str, conf: ImuConf) -> None:
@@ -60,10 +60,8 @@ class ImuCodec:
         return found.astype(np.float32)
 
 
-class OdometryCodec:
+class OdometryCodec(SensorCodec):
     """Dead reckoning: the pose in the frame `odom`, which is that of the start, and the twist of the body."""
-
-    mounts: tuple[FrameMount, ...] = ()
 
     def __init__(self, name: str) -> None:
         self._name, self._topic = name, topic_of(name, "odometry", "odom")
@@ -91,10 +89,8 @@ def planar_pose(pose: Array) -> tuple[Array, Array]:
     return np.array([pose[0], pose[1], 0.0]), rotation_from_yaw(np.asarray(pose[2]))
 
 
-class VelocityCodec:
+class VelocityCodec(SensorCodec):
     """The known speed and yaw rate: a TwistStamped of the body; out of an Odometry or a Twist as well."""
-
-    mounts: tuple[FrameMount, ...] = ()
 
     def __init__(self, name: str) -> None:
         self._name, self._topic = name, topic_of(name, "velocity", "velocity")

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from dune_rl.ros.codecs import Channel, MessageError, Source, Stamp
+from dune_rl.ros.codecs import Channel, MessageError, SensorCodec, Source, Stamp
 from dune_rl.ros.transforms import OPTICAL, FrameMount, TransformTree
 from dune_rl.sensors.camera import CameraConf
 from dune_rl.sensors.lens import Lens
@@ -25,7 +25,7 @@ _ALSO_READ: Mapping[str, Mapping[str, slice]] = {"rgb": {"bgr8": slice(None, Non
 _DEPTH_MM = "16UC1"
 
 
-class CameraCodec:
+class CameraCodec(SensorCodec):
     """A camera: `NAME/OUTPUT/image_raw` and `NAME/OUTPUT/camera_info` of each output.
 
     The frame is optical: x right, y down, z forward. Depth is in metres, inf where nothing is seen (REP-118).

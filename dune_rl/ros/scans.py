@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from dune_rl.geometry.arrays import Floats
-from dune_rl.ros.codecs import Channel, MessageError, Source, Stamp, topic_of, yaw_on_base
+from dune_rl.ros.codecs import Channel, MessageError, SensorCodec, Source, Stamp, topic_of, yaw_on_base
 from dune_rl.ros.transforms import FrameMount, TransformTree
 from dune_rl.sensors.beams import bearings, fan
 from dune_rl.sensors.lidar import LidarConf
@@ -16,11 +16,10 @@ from dune_rl.sensors.sensor import Reading
 _SCAN, _CLOUD = "sensor_msgs/LaserScan", "sensor_msgs/PointCloud2"
 # Of sensor_msgs/PointField: the number and the size of each NumPy type.
 _FIELD_TYPES = {"u1": 2, "f4": 7}
-# Name, type and what it holds where nothing returns.
 _RANGE = "range"
 
 
-class ScanCodec:
+class ScanCodec(SensorCodec):
     """A planar LiDAR: all its beams as a LaserScan, and the nearest return of each segment out of one.
 
     Where nothing returns, ranges are inf (REP-117); the reading there is `range_m`.
@@ -87,7 +86,7 @@ class ScanCodec:
         return found
 
 
-class CloudCodec:
+class CloudCodec(SensorCodec):
     """A LiDAR with rings: an organised PointCloud2, a row for each ring, from the highest to the lowest.
 
     Points are in the LiDAR's frame, NaN where nothing returns. Beside x, y and z there is the field `range`,
@@ -105,11 +104,13 @@ class CloudCodec:
         )
         elevation = np.linspace(highest, lowest, conf.n_rings)
         self._directions = fan(bearings(fov, conf.n_beams), elevation).astype(np.float32)
-        others = [output for output in conf.outputs if output != _RANGE]
-        self._points = np.dtype(
-            [(axis, "<f4") for axis in ("x", "y", "z", _RANGE)]
-            + [(output, "<f4" if output == "intensity" else "u1") for output in others]
-        )
+        self._others = [output for output in conf.outputs if output != _RANGE]
+        kinds: dict[str, str] = {
+            output: "u1" if output == "segmentation" else "f4" for output in self._others
+        }
+        # Name, and type, of each field, in the order in which a point has them.
+        self._fields: dict[str, str] = {**dict.fromkeys(("x", "y", "z", _RANGE), "f4"), **kinds}
+        self._points = np.dtype([(label, f"<{kind}") for label, kind in self._fields.items()])
 
     def encode(self, stamp: Stamp, readings: Mapping[str, Reading]) -> Iterator[tuple[str, Any]]:
         conf, make = self._conf, stamp.types.make
@@ -120,18 +121,13 @@ class CloudCodec:
         for axis, label in enumerate("xyz"):
             points[label] = along * self._directions[..., axis]
         points[_RANGE] = np.where(seen, ranges, np.float32(np.inf))
-        for output in self._points.names[4:]:
+        for output in self._others:
             points[output] = readings[f"{self._name}_{output}"][..., 0]
-        fields = [
-            make(
-                "sensor_msgs/PointField",
-                name=label,
-                offset=offset,
-                datatype=_FIELD_TYPES[dtype.str[1:]],
-                count=1,
-            )
-            for label, (dtype, offset) in self._points.fields.items()
-        ]
+        fields, offset = [], 0
+        for label, kind in self._fields.items():
+            number = _FIELD_TYPES[kind]
+            fields.append(make("sensor_msgs/PointField", name=label, offset=offset, datatype=number, count=1))
+            offset += np.dtype(kind).itemsize
         size = self._points.itemsize
         yield (
             self._topic,
