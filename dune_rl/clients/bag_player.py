@@ -22,6 +22,8 @@ from dune_rl.ros.codecs import ArrayCodec, SensorCodec
 from dune_rl.ros.library import require_rosbags
 from dune_rl.ros.readings import BagReadings, ReadingSource
 from dune_rl.ros.sensor_topics import make_codec
+from dune_rl.sensors.lidar import LidarConf
+from dune_rl.sensors.past_scan import LidarPastConf
 from dune_rl.sensors.sensor import Reading
 from dune_rl.sensors.settings import SensorSettings
 
@@ -92,8 +94,21 @@ def reading_sources(
     for key in spec.keys:
         part = spec.part(key)
         array = ArrayCodec({key: (part.shape, np.uint8 if part.uint8 else np.float32)})
-        found[key] = ReadingSource(array, codecs.get(key))
+        found[key] = ReadingSource(array, codecs.get(key), _past_of(settings.get(key), settings))
     return found
+
+
+def _past_of(
+    conf: SensorSettings | None, settings: Mapping[str, SensorSettings]
+) -> tuple[str, LidarConf, float] | None:
+    """The LiDAR, its settings and the age [s] of a past scan that can be found from the LiDAR's scans."""
+    if not isinstance(conf, LidarPastConf):
+        return None
+    lidar = settings.get(conf.lidar)
+    # Rings are seen in the level plane, of which a bag tells nothing.
+    if not isinstance(lidar, LidarConf) or lidar.rings_deg:
+        return None
+    return conf.lidar, lidar, conf.past_s
 
 
 def _read_policy(
@@ -121,7 +136,9 @@ def _act(
     act: Deterministic, policy: GroupPolicy, observation: Mapping[str, Reading], *, begins: bool
 ) -> NDArray[np.float32]:
     """The action (A,) for one robot's readings; a recurrent policy's memory is empty where it `begins`."""
-    parts: dict[str, Any] = {key: torch.from_numpy(value)[None, None] for key, value in observation.items()}
+    parts: dict[str, Any] = {
+        key: torch.from_numpy(np.array(value))[None, None] for key, value in observation.items()
+    }
     inputs = TensorDict({policy.group: TensorDict({}, batch_size=[1, 1])}, batch_size=[1])
     inputs[policy.group, "observation"] = TensorDict(parts, batch_size=[1, 1])
     inputs[policy.group, BEGINS] = torch.full((1, 1, 1), begins)

@@ -157,8 +157,8 @@ PAGES: Mapping[str, HelpPage] = {
             ("bag=FOLDER", "a rosbag2 folder (MCAP or SQLite)"),
             ("checkpoint=PATH", "a run's folder, or a file of weights"),
             (
-                "topics.SENSOR=TOPIC",
-                "of a sensor, where it is not the default in docs/how_to/ros.md",
+                "topics.READING=TOPIC",
+                "of a part of the observation, where it is not the default in docs/how_to/ros.md",
             ),
             ("robot=NAME", "whose topics, where the bag has those of several, such as rover_0"),
             ("base=FRAME", "frame of the robot's body; else base_link"),

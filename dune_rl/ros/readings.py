@@ -11,22 +11,32 @@ from dune_rl.core.suggestions import one_of
 from dune_rl.ros.bag import read_told
 from dune_rl.ros.codecs import ARRAYS, ArrayCodec, MessageError, SensorCodec, Source
 from dune_rl.ros.library import full_name, message_types, require_rosbags, stamp_ns
-from dune_rl.ros.transforms import BASE, TransformTree
+from dune_rl.ros.past_scans import PastScans
+from dune_rl.ros.transforms import BASE, ODOM, TransformTree
+from dune_rl.sensors.lidar import LidarConf
 from dune_rl.sensors.sensor import Reading
 
 _NS = 1_000_000_000
 # A message that is logged so much later than a decision still counts: times of bags are rounded.
 _TOLERANCE_NS = 1_000
 _TF, _TF_STATIC = "/tf", "/tf_static"
+_TRUTH = "/ground_truth/odom"
+_SCAN = "sensor_msgs/msg/LaserScan"
+_ARRAY_NAMES = tuple(map(full_name, ARRAYS))
 _SHOWN = 6
 
 
 @dataclass(frozen=True)
 class ReadingSource:
-    """A part of an observation: its shape and type, and the codec of its sensor; None for an array's."""
+    """A part of an observation: its shape and type, and the codec of its sensor; None for an array's.
+
+    `past` is the name of the LiDAR, its settings and the age [s] of a part that is a past scan: without a
+    topic of its own, it follows from the LiDAR's scans.
+    """
 
     array: ArrayCodec
     codec: SensorCodec | None = None
+    past: tuple[str, LidarConf, float] | None = None
 
     def sources(self, part: str) -> tuple[Source, ...]:
         """Where it may come from, the standard message first."""
@@ -38,7 +48,7 @@ class BagReadings:
     """The readings `parts` of one robot in a bag (rosbag2: a folder, an .mcap or a .db3 file).
 
     `robot` is the namespace of its topics and frames, `base` the frame of its body. `topics` names the topics
-    of parts, or of sensors, that are not called as ours. Raises ConfigError, which says which topic is
+    of parts that are not the default ones. Raises ConfigError, which says which topic is
     missing or does not fit.
     """
 
@@ -59,52 +69,58 @@ class BagReadings:
             self._types = {connection.topic: connection.msgtype for connection in reader.connections}
             self._counts = {topic: info.msgcount for topic, info in reader.topics.items()}
             self.told = read_told(reader)
+        self._past: dict[str, tuple[str, PastScans]] = {}
         self._topics = self._choose_topics(topics)
 
     def _choose_topics(self, named: Mapping[str, str]) -> dict[str, str]:
         """The topic of each part; raises ConfigError for all that are missing or of another type."""
-        unknown = [name for name in named if not any(_is_of(part, name) for part in self._parts)]
+        unknown = [name for name in named if name not in self._parts]
         if unknown:
             raise ConfigError(
                 f"topics.{unknown[0]}: the policy reads no {unknown[0]}, but {one_of(sorted(self._parts))}"
             )
         found, faults = {}, []
         for part, each in self._parts.items():
-            chosen = next(
-                (named[name] for name in (part, *named) if name in named and _is_of(part, name)), None
-            )
             sources = each.sources(part)
-            kinds = tuple(dict.fromkeys(full_name(kind) for one in sources for kind in one.types))
+            kinds = [full_name(kind) for source in sources for kind in source.types]
             defaults = [f"/{self._prefix}{source.topic}" for source in sources]
-            there = [topic for topic in ([chosen] if chosen else defaults) if self._counts.get(topic)]
-            if not there:
-                faults.append(self._describe_missing(part, chosen or defaults[0], kinds))
+            asked = [named[part]] if part in named else defaults
+            there = [topic for topic in asked if self._counts.get(topic)]
+            if not there and each.past is not None and part not in named:
+                lidar, conf, past_s = each.past
+                self._past[part] = lidar, PastScans(conf, past_s, f"{self._prefix}{ODOM}", self._base)
+            elif not there:
+                faults.append(self._describe_missing(part, asked[0], kinds))
             elif self._types[there[0]] not in kinds:
                 faults.append(
-                    f"{there[0]} is of {self._types[there[0]]}, and {part} is read from {one_of(list(kinds))}"
+                    f"{there[0]} is of {self._types[there[0]]}, and {part} is read from {one_of(kinds)}"
                 )
             else:
                 found[part] = there[0]
+        for part, (lidar, _) in self._past.items():
+            if self._types.get(found.get(lidar, "")) != _SCAN and not faults:
+                faults.append(self._describe_missing(part, f"/{self._prefix}observation/{part}", ()))
         if faults:
             more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
             raise ConfigError(f"{self._path}: {faults[0]}{more}")
         return found
 
     def _describe_missing(self, part: str, topic: str, kinds: Sequence[str]) -> str:
-        fits = [
-            name for name, kind in sorted(self._types.items()) if kind in kinds and self._counts.get(name)
-        ]
+        # Any array could be meant, but one that is called after another part is not.
+        named = [kind for kind in kinds if kind not in _ARRAY_NAMES]
+        fits = [name for name, kind in sorted(self._types.items()) if kind in named and self._counts[name]]
+        lacks = f"there is no topic {topic} for {part}"
         if not fits:
-            return f"there is no topic {topic} for {part}, nor another of {one_of(list(kinds))}; record one"
-        # With several robots, a topic of one of them ends like the one that is missing.
-        robots = [
-            name.removesuffix(topic).strip("/") for name in fits if name != topic and name.endswith(topic)
-        ]
-        remedy = f"robot={robots[0]} or " if robots and not self._prefix else ""
-        return (
-            f"there is no topic {topic} for {part}; set {remedy}topics.{part}=TOPIC, such as "
-            f"{one_of(fits[:_SHOWN])}"
-        )
+            others = f", nor another of {one_of(named)}" if named else ""
+            return f"{lacks}{others}; record one"
+        robots = [name for name in self._robots() if not self._prefix]
+        remedy = f"robot={robots[0]} or " if robots else ""
+        return f"{lacks}; set {remedy}topics.{part}=TOPIC, such as {one_of(fits[:_SHOWN])}"
+
+    def _robots(self) -> list[str]:
+        """The namespaces of robots in a bag of ours."""
+        ends = [name.removesuffix(_TRUTH) for name in self._types if name.endswith(_TRUTH)]
+        return sorted(name.strip("/") for name in ends if name)
 
     def decisions(self, period_s: float) -> Iterator[tuple[int, dict[str, Reading]]]:
         """Times [ns] every `period_s`, and the readings of each part that have arrived by then.
@@ -118,30 +134,60 @@ class BagReadings:
         for part, topic in self._topics.items():
             by_topic.setdefault(topic, []).append(part)
         number = 0
+        # Scans that wait for the frames of their time, which may come after them.
+        new_scans: list[tuple[str, int, Any]] = []
         for topic, time_ns, message in self._messages({*by_topic, _TF}):
-            while (due_ns := first_ns + round(number * period_s * _NS)) < min(
-                last_ns, time_ns - _TOLERANCE_NS
-            ):
-                yield due_ns, self._decode(latest, frames)
+            if new_scans and time_ns > new_scans[0][1]:
+                self._keep_scans(new_scans, frames)
+                new_scans.clear()
+            until_ns = min(last_ns, time_ns - _TOLERANCE_NS)
+            while (due_ns := first_ns + round(number * period_s * _NS)) < until_ns:
+                yield due_ns, self._decode(latest, frames) | self._past_scans(latest, due_ns, frames)
                 number += 1
             if topic == _TF:
                 frames.add(message)
             for part in by_topic.get(topic, ()):
                 latest[part] = message
+                new_scans += [
+                    (name, time_ns, message) for name, (lidar, _) in self._past.items() if lidar == part
+                ]
+
+    def _keep_scans(self, scans: Sequence[tuple[str, int, Any]], frames: TransformTree) -> None:
+        for part, time_ns, message in scans:
+            lidar, past = self._past[part]
+            with self._naming(lidar, message):
+                past.add(message, time_ns, frames)
+
+    def _past_scans(
+        self, latest: Mapping[str, Any], time_ns: int, frames: TransformTree
+    ) -> dict[str, Reading]:
+        found = {}
+        for part, (lidar, past) in self._past.items():
+            with self._naming(lidar, latest[lidar]):
+                found[part] = past.reading(latest[lidar], time_ns, frames)
+        return found
+
+    @contextmanager
+    def _naming(self, part: str, message: Any) -> Iterator[None]:
+        """Turns a MessageError into a ConfigError that names the bag, the topic and the time of a message."""
+        try:
+            yield
+        except MessageError as error:
+            at = ""
+            if hasattr(message, "header"):
+                at = f" at {stamp_ns(message.header.stamp) / _NS:.3f} s"
+            raise ConfigError(
+                f"{self._path}: {self._topics[part]}{at} does not fit {part}: {error}"
+            ) from None
 
     def _decode(self, latest: Mapping[str, Any], frames: TransformTree) -> dict[str, Reading]:
         found = {}
         for part, message in latest.items():
             source = self._parts[part]
-            is_array = message.__msgtype__ in {full_name(kind) for kind in ARRAYS}
+            is_array = message.__msgtype__ in _ARRAY_NAMES
             codec = source.array if is_array or source.codec is None else source.codec
-            try:
+            with self._naming(part, message):
                 found[part] = codec.decode(part, message, frames, self._base)
-            except MessageError as error:
-                topic, at = self._topics[part], ""
-                if hasattr(message, "header"):
-                    at = f" at {stamp_ns(message.header.stamp) / _NS:.3f} s"
-                raise ConfigError(f"{self._path}: {topic}{at} does not fit {part}: {error}") from None
         return found
 
     def _extent(self) -> tuple[int, int]:
@@ -175,11 +221,6 @@ class BagReadings:
                         f"read: {' '.join(str(error).split())}"
                     ) from None
                 yield connection.topic, time_ns, message
-
-
-def _is_of(part: str, name: str) -> bool:
-    """Whether a part of an observation is the reading `name`, or an output of the sensor `name`."""
-    return part == name or part.startswith(f"{name}_")
 
 
 @contextmanager

@@ -49,7 +49,10 @@ class PastScan:
         The sensors are at `origin_w` (N, 3), turned by `rotation` (N, 3, 3). An episode younger than the
         delay shows its first scan.
         """
-        ends_w = self._ends_w[(self._newest + 1) % len(self._ends_w)]
+        return self.nearest(self._ends_w[(self._newest + 1) % len(self._ends_w)], origin_w, rotation)
+
+    def nearest(self, ends_w: Floats, origin_w: Array, rotation: Array) -> Floats:
+        """As `seen_from`, of the end points `ends_w` (N, B, 3)."""
         found = np.empty((len(ends_w), self._conf.n_segments), np.float32)
         nearest_seen_from(
             ends_w, origin_w.astype(np.float32), rotation.astype(np.float32), self._first_rad, self._per_rad,

@@ -21,7 +21,12 @@ from dune_rl.ros.recorder import BagRecorder
 from dune_rl.sensors.sensor import Reading
 from dune_rl.state.state import GroupState
 
-SHORT = ("+world=flat", "actors=none", "task.terminations.time_limit.max_steps=8", "policy=go_to_goal")
+SHORT = (
+    "+world=obstacle_course",
+    "actors=none",
+    "task.terminations.time_limit.max_steps=8",
+    "policy=go_to_goal",
+)
 
 
 @dataclass(frozen=True)
@@ -146,14 +151,18 @@ Change = Callable[[str, Any], Iterable[tuple[str, Any]]]
 
 def rewrite(bag: Path, to: Path, change: Change) -> Path:
     """A bag like `bag`, with what `change` makes of each topic and message."""
-    written = EpisodeBag(to, {})
     messages = [
         (time_ns, number, topic, message)
         for topic, found in read_with_rosbags(bag).items()
         for number, (time_ns, message) in enumerate(found)
     ]
-    for time_ns, _, topic, message in sorted(messages, key=lambda each: each[0]):
-        for other, changed in change(topic, message):
-            written.write(other, changed, time_ns)
+    changed = [
+        (time_ns, pair)
+        for time_ns, _, topic, message in sorted(messages, key=lambda each: each[0])
+        for pair in change(topic, message)
+    ]
+    written = EpisodeBag(to, {})
+    for time_ns, (topic, message) in changed:
+        written.write(topic, message, time_ns)
     written.complete()
     return to

@@ -16,7 +16,9 @@ from dune_rl.ros.transforms import TransformTree
 
 STEP_S, STEPS = 0.05, 8
 LIDAR_3D = "{n_rings: 4, n_beams: 16, outputs: [range, intensity, segmentation]}"
-CAMERA = "{width: 12, height: 8, pitch_deg: 10, outputs: [rgb, grey, depth, segmentation, normals]}"
+CAMERA = (
+    "{width: 12, height: 8, pitch_deg: 10, range_m: 2, outputs: [rgb, grey, depth, segmentation, normals]}"
+)
 SENSORS = "sensors.enabled=[lidar,lidar_past,imu,goal,velocity,odometry,encoders,position,lidar_3d,camera]"
 
 Messages = dict[str, list[tuple[int, Any]]]
@@ -72,6 +74,7 @@ def test_messages_have_what_was_observed(messages: Messages, recorded: Recorded)
         scan = at("/scan")
         ranges = np.minimum(np.array(scan.ranges, np.float32), np.float32(12.0))
         assert len(ranges) == 128 and scan.header.frame_id == "lidar_link"
+        assert (ranges < 12.0).any()
         np.testing.assert_array_equal(ranges.reshape(32, 4).min(axis=1), readings["lidar"])
         assert scan.angle_min == pytest.approx(-np.pi) and scan.range_max == pytest.approx(12.0)
         assert scan.angle_increment == pytest.approx(2 * np.pi / 128)
@@ -120,8 +123,8 @@ def check_pictures(at: Callable[[str], Any], readings: dict[str, np.ndarray]) ->
         assert (image.width, image.height, info.width, info.height) == (12, 8, 12, 8)
         values = np.frombuffer(bytes(image.data), dtype).reshape(reading.shape)
         if output == "depth":
-            assert np.isinf(values).any() and (reading[np.isinf(values)] == 100.0).all()
-            values = np.minimum(values, np.float32(100.0))
+            assert np.isinf(values).any() and (reading[np.isinf(values)] == 2.0).all()
+            values = np.minimum(values, np.float32(2.0))
         np.testing.assert_array_equal(values, reading)
         # 60 degrees over 12 pixels, whose first is at 0.
         k = np.array(info.k)
@@ -146,10 +149,17 @@ def check_cloud(cloud: Any, readings: dict[str, np.ndarray]) -> None:
     np.testing.assert_array_equal(points["segmentation"], readings["lidar_3d_segmentation"][..., 0])
     xyz = np.stack([points[axis] for axis in "xyz"], axis=-1)
     hit = ranges < 30.0
-    # The lowest ring meets the flat ground, at the height of the LiDAR over it.
-    assert hit[-1].all() and np.isnan(xyz[~hit]).all()
+    assert hit.any() and not hit.all() and np.isnan(xyz[~hit]).all()
     np.testing.assert_allclose(np.linalg.norm(xyz[hit], axis=-1), ranges[hit], rtol=1e-6)
-    np.testing.assert_allclose(np.arctan2(xyz[-1, 4, 1], xyz[-1, 4, 0]), -np.pi / 2, atol=1e-6)
+    # Rings from 15 degrees up to 15 down, beams from behind counter-clockwise.
+    elevation, bearing = (
+        np.broadcast_to(each, (4, 16))
+        for each in np.meshgrid(
+            np.deg2rad([15.0, 5.0, -5.0, -15.0]), -np.pi + np.arange(16) * np.pi / 8, indexing="ij"
+        )
+    )
+    expected = [np.cos(elevation) * np.cos(bearing), np.cos(elevation) * np.sin(bearing), np.sin(elevation)]
+    np.testing.assert_allclose(xyz[hit], (ranges * np.stack(expected)).transpose(1, 2, 0)[hit], atol=1e-5)
 
 
 def test_messages_have_the_true_state(messages: Messages, recorded: Recorded) -> None:

@@ -1,0 +1,56 @@
+"""The scan of a moment ago out of the scans and the frames of a bag, for policies that read `lidar_past`."""
+
+from typing import Any
+
+import numpy as np
+
+from dune_rl.geometry.arrays import Array, Floats
+from dune_rl.ros.codecs import MessageError
+from dune_rl.ros.transforms import TransformTree
+from dune_rl.sensors.lidar import LidarConf
+from dune_rl.sensors.past_scan import PastScan
+from dune_rl.sensors.sensor import Reading
+
+_NS = 1_000_000_000
+
+
+class PastScans:
+    """Where the beams of scans ended [m] in the frame `odom`, and how that looks from the present pose.
+
+    `conf` is the LiDAR of the policy; the reading is that of its sensor `lidar_past`, `past_s` long past.
+    """
+
+    def __init__(self, conf: LidarConf, past_s: float, odom: str, base: str) -> None:
+        self._conf, self._past_ns = conf, round(past_s * _NS)
+        self._odom, self._base = odom, base
+        self._past = PastScan(conf, 1, 0)
+        # Times and end points, the oldest first.
+        self._ends: list[tuple[int, Floats]] = []
+
+    def add(self, message: Any, time_ns: int, frames: TransformTree) -> None:
+        """Keep a LaserScan that arrived at a time, when the robot was where `frames` say."""
+        origin, rotation = self._pose(message.header.frame_id, frames)
+        ranges = np.asarray(message.ranges, np.float64)
+        angles = message.angle_min + np.arange(len(ranges)) * message.angle_increment
+        ahead = np.stack([np.cos(angles), np.sin(angles), np.zeros(len(angles))], axis=-1)
+        # Written so that NaN, which compares false, is left out.
+        seen = (ranges >= 0.0) & (ranges < self._conf.range_m)
+        ends = origin + (ranges[seen, None] * ahead[seen]) @ rotation.T
+        self._ends.append((time_ns, ends.astype(np.float32)))
+
+    def reading(self, message: Any, time_ns: int, frames: TransformTree) -> Reading:
+        """The past scan (n_segments,) [m] at a time, from where the latest scan `message` was measured."""
+        while len(self._ends) > 1 and self._ends[1][0] <= time_ns - self._past_ns:
+            self._ends.pop(0)
+        origin, _ = self._pose(message.header.frame_id, frames)
+        _, rotation = self._pose(self._base, frames)
+        return self._past.nearest(self._ends[0][1][None], origin[None], rotation[None])[0]
+
+    def _pose(self, frame: str, frames: TransformTree) -> tuple[Array, Array]:
+        pose = frames.pose(frame, self._odom)
+        if pose is None:
+            raise MessageError(
+                f"its frame {frame!r} has no transform to {self._odom!r} in /tf, by which the past scan is "
+                "carried along; record that, or give base=FRAME"
+            )
+        return pose
