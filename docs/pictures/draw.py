@@ -103,7 +103,11 @@ LAYERS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
     ("learn", (("config", "schema and checks; the one place that names concrete classes"),)),
     (
         "learn",
-        (("learning", "algorithms, collectors, checkpoints"), ("visualization", "sheets, films, maps")),
+        (
+            ("learning", "algorithms, collectors, checkpoints"),
+            ("visualization", "sheets, films, maps"),
+            ("ros", "bags of ROS 2"),
+        ),
     ),
     (
         "env",

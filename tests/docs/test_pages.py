@@ -28,6 +28,7 @@ from world_files import write_yard
 
 from dune_rl.commands import doctor, episode_sets, robots
 from dune_rl.commands.command_line import config_folders, parse_arguments
+from dune_rl.commands.drive import parse_words as drive_words
 from dune_rl.commands.engines import parse_settings as engines_settings
 from dune_rl.commands.export import parse_words as export_words
 from dune_rl.commands.pages import PAGES as PROGRAMS
@@ -99,6 +100,8 @@ def compose_command(words: list[str]) -> None:
         compose(EvaluateConf, overrides, folders, saved if override_value(overrides, "checkpoint") else None)
     elif program == "dune_rl.forecast":
         compose(ForecastConf, overrides, folders)
+    elif program == "dune_rl.drive":
+        drive_words(rest)
     elif program == "dune_rl.engines":
         engines_settings(overrides)
     elif program == "dune_rl.report":
