@@ -16,7 +16,7 @@ from dune_rl.evaluation.run_plan import prepare_run, run_plan
 from dune_rl.evaluation.running import EvaluationPlan
 
 # What may differ between parts.
-_OWN: dict[str, Any] = {"part": None, "out": None, "processes": 1, "overwrite": False}
+_OWN: dict[str, Any] = {"part": None, "out": None, "bag": None, "processes": 1, "overwrite": False}
 # What is told of each part in the provenance of the whole.
 _KEPT = ("created", "command", "git", "packages", "python", "platform", "hardware")
 

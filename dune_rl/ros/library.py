@@ -58,7 +58,7 @@ class MessageTypes:
 
     def quaternion(self, rotation: Array) -> Any:
         """A Quaternion of a rotation matrix (3, 3)."""
-        x, y, z, w = map(float, quaternion_of(rotation))
+        x, y, z, w = quaternion_of(rotation)
         return self.make("geometry_msgs/Quaternion", x=x, y=y, z=z, w=w)
 
     def pose(self, position: Array, rotation: Array) -> Any:
@@ -111,6 +111,7 @@ class MessageTypes:
         return self.make(f"std_msgs/{kind}MultiArray", layout=layout, data=flat)
 
 
+@cache
 def full_name(name: str) -> str:
     """The type's name in bags: `std_msgs/msg/Bool` of `std_msgs/Bool`."""
     package, _, message = name.partition("/")

@@ -98,14 +98,23 @@ class Recorded:
         return list(found.decisions(period_s))
 
 
-def record(folder: Path, *words: str, scenes: int = 1, episodes: int = 1, seed: int = 0) -> Recorded:
-    """Bags of the first episodes, driven straight at their goals."""
-    conf = compose(EvaluateConf, [*SHORT, *words])
+def record(
+    folder: Path,
+    *words: str,
+    scenes: int = 1,
+    episodes: int = 1,
+    seed: int = 0,
+    policy: str = "go_to_goal",
+) -> Recorded:
+    """Bags of the first episodes, by default driven straight at their goals."""
+    # Another world takes the place of the default one.
+    base = SHORT[1:] if any(word.startswith("+world=") for word in words) else SHORT
+    conf = compose(EvaluateConf, [*base, *words])
     env = make_learning_env(conf, scenes, seed)
     simulation = simulation_in(env)
     recorder = BagRecorder(simulation, folder, range(episodes), {"decision_s": conf.physics.control_step_s})
     witness = Witness(simulation)
-    evaluate(built_in_policy("go_to_goal", env), env, episodes, seed, observer=Both(recorder, witness))
+    evaluate(built_in_policy(policy, env), env, episodes, seed, observer=Both(recorder, witness))
     recorder.close()
     sources = {}
     for group in simulation.external:

@@ -284,3 +284,31 @@ def test_several_robots_have_namespaces(tmp_path: Path) -> None:
         for _, message in messages[topic]:
             tree.add(message)
     assert all(tree.pose(f"{name}/lidar_link", "map") is not None for name in names)
+
+
+@pytest.mark.slow
+def test_who_comes_and_goes_is_recorded_meanwhile(tmp_path: Path) -> None:
+    presence = "+actors.walker.presence={arrive_s: [0.1, 0.2], stay_s: [0.1, 0.15]}"
+    recorded = record(tmp_path, "actors=external_walkers", presence, policy="random")
+    messages = read_with_rosbags(recorded.bag())
+    states = [seen.states["walker"] for seen in recorded.seen]
+    # Agents that have left are done; in the step in which they end they still see.
+    expected = [round(step * STEP_S, 9) for step, state in enumerate(states) if not state.done[0]]
+    times = [time * 1e-9 for time, _ in messages["/walker_0/ground_truth/odom"]]
+    assert 2 <= len(times) < STEPS
+    np.testing.assert_allclose(times, expected, atol=1e-9)
+    assert [time * 1e-9 for time, _ in messages["/walker_0/action"]] == pytest.approx(times[:-1])
+    for (_, message), step in zip(
+        messages["/walker_0/ground_truth/odom"], np.rint(np.array(times) / STEP_S).astype(int), strict=True
+    ):
+        place = states[step].motion.position_w[0]
+        np.testing.assert_allclose(vector(message.pose.pose.position), place)
+
+
+@pytest.mark.slow
+def test_joints_have_no_twist(tmp_path: Path) -> None:
+    words = ["robot=hyperdog", "robot.action=joints", "+world=flat"]
+    recorded = record(tmp_path, *words, policy="random")
+    messages = read_with_rosbags(recorded.bag())
+    assert "/cmd_vel" not in messages and len(messages["/action"][0][1].data) == 12
+    assert len(messages["/joint_states"][0][1].name) == 12
