@@ -118,7 +118,11 @@ def _read_policy(
     file, content = read_policy_file(path)
     names = list(content["groups"])
     asked = "" if robot is None else robot.strip("/").rpartition("_")[0]
-    group = asked if asked in names else names[0] if len(names) == 1 else asked
+    if len(names) > 1 and not asked:
+        raise ConfigError(
+            f"{file} has policies of {', '.join(names)}: set robot=NAME to choose one, such as {names[0]}_0"
+        )
+    group = names[0] if len(names) == 1 else asked
     entry = saved_entry(content["groups"], file, group)
     with interpreting(file):
         spec = PolicySpec.from_plain(entry["spec"])

@@ -124,6 +124,10 @@ def _evaluate(conf: EvaluateConf) -> None:
     check_free(out, overwrite=conf.overwrite)
     plan = plan_with_dataset(plan, out)
     if conf.bag is not None:
+        if Path(conf.bag).resolve().is_relative_to(out.resolve()):
+            raise ConfigError(
+                f"bag={conf.bag} lies in out={out}, which holds results alone; choose another folder"
+            )
         names = [source.name for source in plan.sources]
         check_bags(Path(conf.bag), names, plan.part_of(conf), plan.scenes, overwrite=conf.overwrite)
     # Before the folder is made: a policy that does not fit leaves nothing behind.

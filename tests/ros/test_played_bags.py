@@ -262,6 +262,7 @@ def test_bags_are_not_replaced_unasked(
         (["protocol=paper"], "leave it out, or protocol"),
         (["cross_play=true", "populations=none"], "leave it out, or cross_play"),
         (["scenes=500"], "set scenes=256 or fewer"),
+        (["bag=again/bags"], "bag=again/bags lies in out=again"),
     ):
         taken = [word for word in words if not word.startswith(("episodes", "scenes", more[0][:6]))]
         count = ["episodes=600"] if more[0].startswith("scenes") else []
@@ -269,23 +270,49 @@ def test_bags_are_not_replaced_unasked(
         assert sentence in capsys.readouterr().err
 
 
+FAILING = """
+from pathlib import Path
+import numpy as np
+calls = []
+
+def act(observation):
+    calls.append(1)
+    if len(calls) > int(Path("calls.txt").read_text()):
+        raise ValueError("enough")
+    return np.zeros((len(observation["goal"]), 2))
+"""
+
+
 def test_a_bag_appears_when_it_is_complete(
     call: Call, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (folder / "failing.py").write_text(
-        "import numpy as np\n"
-        "calls = []\n"
-        "def act(observation):\n"
-        "    calls.append(1)\n"
-        "    if len(calls) > 5:\n"
-        "        raise ValueError('enough')\n"
-        "    return np.zeros((len(observation['goal']), 2))\n"
-    )
+    (folder / "failing.py").write_text(FAILING)
     monkeypatch.syspath_prepend(folder)
     words = ["+world=flat", "actors=none", "task.terminations.time_limit.max_steps=12", "episodes=2"]
-    assert call(evaluate.main, "policy=failing:act", *words, "bag=bags", "out=results") == 2
-    assert "enough" in capsys.readouterr().err
-    assert not (folder / "bags").exists()
+    words += ["policy=failing:act", "scenes=1", "bag=bags"]
+    for calls, done in ((5, []), (20, ["episode_0"])):
+        (folder / "calls.txt").write_text(str(calls))
+        sys.modules.pop("failing", None)
+        assert call(evaluate.main, *words, "out=results") == 2
+        assert "enough" in capsys.readouterr().err
+        assert [path.name for path in folder.glob("bags/act/*")] == done
+        assert (folder / "bags").exists() == bool(done)
+    first = (folder / "bags" / "act" / "episode_0" / "episode_0.mcap").read_bytes()
+    (folder / "calls.txt").write_text("1000")
+    assert call(evaluate.main, "resume=results", "policy=failing:act") == 0
+    assert sorted(path.name for path in folder.glob("bags/act/*")) == ["episode_0", "episode_1"]
+    assert (folder / "bags" / "act" / "episode_0" / "episode_0.mcap").read_bytes() == first
+
+
+@pytest.mark.slow
+def test_parts_share_a_folder(call: Call, folder: Path) -> None:
+    words = ["+world=flat", "actors=none", "task.terminations.time_limit.max_steps=12", "episodes=4"]
+    words += ["policy=go_to_goal", "scenes=2", "bag=bags"]
+    for part in (1, 2):
+        assert call(evaluate.main, *words, f"part={part}/2", f"out=parts/{part}") == 0
+    assert len(list(folder.glob("bags/go_to_goal/episode_*"))) == 4
+    assert call(evaluate.main, "join=parts", "out=joined") == 0
+    assert (folder / "joined" / "episodes.csv").exists()
 
 
 @pytest.mark.slow
