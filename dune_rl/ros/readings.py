@@ -196,9 +196,11 @@ class BagReadings:
         last = 0
         with _opened(self._path) as reader:
             chosen = [each for each in reader.connections if each.topic in self._topics.values()]
-            for connection, time_ns, _ in reader.messages(chosen):
+            for connection, time_ns, _ in self._records(reader, chosen):
                 first.setdefault(connection.topic, time_ns)
                 last = max(last, time_ns)
+        if lost := sorted({*self._topics.values()} - first.keys()):
+            raise ConfigError(f"bag={self._path} is damaged (no message of {lost[0]}); copy or record it again")
         return max(first.values()), last
 
     def _static_frames(self) -> TransformTree:
@@ -207,12 +209,21 @@ class BagReadings:
             frames.add(message)
         return frames
 
+    def _records(self, reader: Any, chosen: Sequence[Any]) -> Iterator[tuple[Any, int, bytes]]:
+        """What a bag has of `chosen` connections; raises ConfigError where it is damaged."""
+        try:
+            # Of no connection, the library means all.
+            yield from reader.messages(chosen) if chosen else ()
+        except Exception as error:
+            reason = " ".join(str(error).split())
+            raise ConfigError(f"bag={self._path} is damaged ({reason}); copy or record it again") from None
+
     def _messages(self, topics: set[str]) -> Iterator[tuple[str, int, Any]]:
         """Topic, time [ns] and message of what the bag has of `topics`, in order of time."""
         store = message_types().store
         with _opened(self._path) as reader:
             chosen = [each for each in reader.connections if each.topic in topics]
-            for connection, time_ns, data in reader.messages(chosen) if chosen else ():
+            for connection, time_ns, data in self._records(reader, chosen):
                 try:
                     message = store.deserialize_cdr(data, connection.msgtype)
                 except Exception as error:

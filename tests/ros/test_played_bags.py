@@ -222,11 +222,17 @@ def test_what_is_no_bag_is_named(
 ) -> None:
     (folder / "broken").mkdir()
     (folder / "broken" / "metadata.yaml").write_text("- nothing\n")
+    content = bytearray((bag / f"{bag.name}.mcap").read_bytes())
+    # The beginning of a compressed chunk.
+    start = content.index(b"\x28\xb5\x2f\xfd")
+    content[start : start + 4] = b"none"
+    (folder / "damaged.mcap").write_bytes(content)
     (folder / "cut.mcap").write_bytes((bag / f"{bag.name}.mcap").read_bytes()[:5000])
     for path, sentence in (
         ("absent", "bag=absent is no bag that can be read"),
         ("broken", "bag=broken is no bag that can be read"),
         ("cut.mcap", "bag=cut.mcap is no bag that can be read"),
+        ("damaged.mcap", "bag=damaged.mcap is damaged"),
     ):
         assert call(drive.main, f"bag={path}", f"checkpoint={POLICY}") == 2
         error = capsys.readouterr().err
