@@ -200,7 +200,9 @@ class BagReadings:
                 first.setdefault(connection.topic, time_ns)
                 last = max(last, time_ns)
         if lost := sorted({*self._topics.values()} - first.keys()):
-            raise ConfigError(f"bag={self._path} is damaged (no message of {lost[0]}); copy or record it again")
+            raise ConfigError(
+                f"bag={self._path} is damaged (no message of {lost[0]}); copy or record it again"
+            )
         return max(first.values()), last
 
     def _static_frames(self) -> TransformTree:
