@@ -79,7 +79,8 @@ class EpisodeRecorder:
         over = after["next", "done"].reshape(-1).numpy()
         # Nobody asks for more of scenes whose last episode has ended. They may have ended in this very step,
         # between two control steps of a held action.
-        due = ((self._simulation.steps % self._every == 0) | over) & ~self._ended
+        goes_on = ~self._ended
+        due = ((self._simulation.steps % self._every == 0) | over) & goes_on
         self._ended |= over
         for group in self._groups:
             state = self._simulation.state.groups[group.name]
@@ -87,7 +88,7 @@ class EpisodeRecorder:
             # An agent's own last step is kept as well, while its scene goes on.
             chosen = (np.repeat(due, group.count) | now) & ~before
             # It makes no step in the one in which it comes.
-            chosen &= state.episode.steps > 0
+            chosen &= np.repeat(goes_on, group.count) & (state.episode.steps > 0)
             self._record(group.names, chosen, self._columns(state) | _task_columns(state, after))
         for group in self._actors:
             state = self._simulation.state.groups[group.name]

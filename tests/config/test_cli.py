@@ -24,7 +24,7 @@ def test_the_commands_are_listed() -> None:
     ).stdout
     names = re.findall(r"python -m dune_rl\.(\w+) ", listed)
     others = {"report", "episode_sets", "view", "trajectory", "benchmark", "engines", "robots", "doctor"}
-    assert set(names) == {"train", "evaluate", "forecast", "drive"} | others
+    assert set(names) == {"train", "evaluate", "forecast", "drive", "export"} | others
     for name in names:
         assert importlib.util.find_spec(f"dune_rl.{name}") is not None
     asked = subprocess.run(

@@ -32,7 +32,18 @@ def loaded_packages(code: str) -> set[str]:
 @pytest.mark.slow(all_but=["train", "report"])
 @pytest.mark.parametrize(
     "module",
-    ["train", "evaluate", "drive", "forecast", "report", "view", "benchmark", "engines", "trajectory"],
+    [
+        "train",
+        "evaluate",
+        "drive",
+        "export",
+        "forecast",
+        "report",
+        "view",
+        "benchmark",
+        "engines",
+        "trajectory",
+    ],
 )
 def test_help_loads_none_of_the_heavy_packages(module: str) -> None:
     code = f"import sys; sys.argv = ['x', '--help']; from dune_rl.{module} import main; main()"
