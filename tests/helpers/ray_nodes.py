@@ -11,7 +11,9 @@ import pytest
 
 
 @contextmanager
-def ray_nodes(monkeypatch: pytest.MonkeyPatch, number: int, cpus: int = 1) -> Iterator[list[Any]]:
+def ray_nodes(
+    monkeypatch: pytest.MonkeyPatch, number: int, cpus: int = 1, head_cpus: int | None = None
+) -> Iterator[list[Any]]:
     """Nodes of `cpus` each, the head first, which RAY_ADDRESS names inside the context; skips without Ray."""
     pytest.importorskip("ray", reason="no Ray: pip install 'dune_rl[ray]'")
     monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
@@ -21,7 +23,9 @@ def ray_nodes(monkeypatch: pytest.MonkeyPatch, number: int, cpus: int = 1) -> It
     from ray.cluster_utils import Cluster
 
     head = {"include_dashboard": False, "include_log_monitor": False, "no_monitor": True}
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": cpus, **head})
+    cluster = Cluster(
+        initialize_head=True, head_node_args={"num_cpus": cpus if head_cpus is None else head_cpus, **head}
+    )
     try:
         others = [cluster.add_node(num_cpus=cpus) for _ in range(number - 1)]
         monkeypatch.setenv("RAY_ADDRESS", cluster.address)

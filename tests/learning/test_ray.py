@@ -52,8 +52,9 @@ def test_a_node_that_dies_costs_a_line_and_the_last_one_ends_the_run_saved(
         collector=CollectorConf(mode="ray", workers=2, scenes=4, steps=4),
         evaluation=EvaluationConf(every_frames=10**8, episodes=1),
     )
-    with ray_nodes(monkeypatch, 2) as (head, other):
-        watcher = Watcher(other)
+    # The driver's own node is none of these: Ray may end a driver whose node dies.
+    with ray_nodes(monkeypatch, 3, head_cpus=0) as (_, one, other):
+        watcher = Watcher(one)
         result = trainer(tmp_path / "run", learning, reporter=watcher, total_frames=10**8).train()
         assert result.signal == signal.SIGTERM
         lost, stopped = watcher.lines
@@ -62,7 +63,7 @@ def test_a_node_that_dies_costs_a_line_and_the_last_one_ends_the_run_saved(
         )
         assert stopped.startswith("Stopping")
         more = {"resume": tmp_path / "run", "total_frames": 10**8}
-        again = trainer(tmp_path / "run", learning, reporter=Watcher(head), **more)
+        again = trainer(tmp_path / "run", learning, reporter=Watcher(other), **more)
         assert again.frames == result.frames >= 64
         with pytest.raises(TrainingError, match=r"Ray.*\nAll is saved at [\d,]+ frames; go on with resume="):
             again.train()
