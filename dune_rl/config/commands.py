@@ -132,8 +132,8 @@ def _dataset_id(value: str) -> str:
     if _DATASET_ID.fullmatch(value):
         return value
     raise ValueError(
-        f"NAMESPACE/NAME-vN names a dataset of Minari, as dune_rl/flat/planner-v0: letters, digits, - and _ "
-        f"(got {value})"
+        "NAMESPACE/NAME-vN names a dataset of Minari, as dune_rl/flat/planner-v0: letters, digits, - and _, "
+        f"in namespaces two or more (got {value})"
     )
 
 
