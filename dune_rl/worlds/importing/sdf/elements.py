@@ -2,6 +2,7 @@
 
 import os
 from pathlib import Path
+from typing import Literal, get_args
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -26,6 +27,26 @@ Mesh = tuple[Array, NDArray[np.int32]]
 _ROUND_SIDES = 24
 _LARGEST_M = 1e5
 Colour = tuple[float, float, float]
+# What a model is to the importer, as an attribute `role` of that namespace: SDF has none for it.
+Role = Literal["ground", "deck", "obstacle"]
+ROLES = "urn:dune_rl"
+_ROLE = f"{{{ROLES}}}role"
+
+
+def role_attribute(role: Role | None) -> dict[str, str]:
+    """The attribute of a <model> of that role; none for a model whose role is to be determined."""
+    return {} if role is None else {_ROLE: role}
+
+
+def parse_role(element: Element) -> Role | None:
+    """The role that a <model> states; raises `WorldError` for an unknown one."""
+    found = element.get(_ROLE)
+    for role in get_args(Role):
+        if found == role:
+            return role
+    if found is not None:
+        raise WorldError(f"a role of a <model> is {', '.join(get_args(Role))} (got {printable(found, 40)!r}).")
+    return None
 
 
 def parse_numbers(element: Element | None, count: int, default: tuple[float, ...]) -> Array:

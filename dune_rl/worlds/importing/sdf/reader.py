@@ -1,6 +1,6 @@
 """Reading of Gazebo models and worlds (SDF) into parts, planes, height maps, a sun and frictions."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -26,11 +26,13 @@ from dune_rl.rendering.mesh_files.parts import GREY, MeshPart, guess_colour
 from dune_rl.worlds.actor_trajectory import ActorTrajectory
 from dune_rl.worlds.importing.sdf.actors import MOST_ACTORS, parse_actor
 from dune_rl.worlds.importing.sdf.elements import (
+    Role,
     SdfFileFinder,
     build_primitive,
     parse_colour,
     parse_numbers,
     parse_pose,
+    parse_role,
     parse_sun,
 )
 
@@ -43,6 +45,14 @@ _IGNORED = {
     *("atmosphere", "magnetic_field", "spherical_coordinates", "state", "self_collide", "enable_wind"),
     *("allow_auto_disable", "kinematic", "velocity_decay", "must_be_base_link", "frame", "author"),
 }  # fmt: skip
+
+
+# Of the parts of models that state their role.
+_ROLES: Mapping[Role | None, Mapping[str, bool]] = {
+    "ground": {"ground": True},
+    "deck": {"ground": False, "drivable": True},
+    "obstacle": {"ground": False},
+}
 
 
 @dataclass(eq=False)
@@ -76,12 +86,15 @@ class SdfContents:
 
 
 class _Place(NamedTuple):
-    """Where elements stand: the files that they may refer to, pose (4, 4), name, and the including files."""
+    """Where elements stand: the files that they may refer to, pose (4, 4), name, the including files, and
+    the role of the model.
+    """
 
     folder: WorldFiles
     matrix: Array
     name: str = ""
     chain: tuple[Path, ...] = ()
+    role: Role | None = None
 
 
 class SdfReader:
@@ -126,7 +139,8 @@ class SdfReader:
                 # A world's name is ignored; the name of an <include> replaces the model's own.
                 own = "" if child.tag == "world" else child.get("name") or ""
                 full = place.name if element.tag == "sdf" and place.name else _path(place.name, own)
-                self._read_children(child, self._at(place, child)._replace(name=full))
+                role = parse_role(child) or place.role
+                self._read_children(child, self._at(place, child)._replace(name=full, role=role))
             elif child.tag == "actor":
                 actor = parse_actor(child, place.matrix, self._report)
                 self._contents.actors += [] if actor is None else [actor]
@@ -199,7 +213,10 @@ class SdfReader:
                 self._read_height_map(shape, place, colour, visuals)
                 self._record_friction("heightmap", friction)
             elif shape.tag != "empty":
-                parts = list(self._read_mesh(shape, place, colour, solid))
+                parts = [
+                    replace(part, **_ROLES.get(place.role, {}))
+                    for part in self._read_mesh(shape, place, colour, solid)
+                ]
                 for part in parts:
                     self._faces += len(part.faces)
                     self._record_friction(part.name, friction)
