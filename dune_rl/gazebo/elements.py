@@ -53,14 +53,14 @@ class UniqueNames:
     """Names of letters, digits, - and ., in the order in which they are asked for; none is given twice."""
 
     def __init__(self) -> None:
-        self._taken: set[str] = set()
+        self._taken: set[tuple[str, str]] = set()
 
-    def make(self, text: str) -> str:
-        """`text` as a name that is new, with a number behind it if need be."""
+    def make(self, text: str, suffix: str = "") -> str:
+        """`text` as a name that is new with a `suffix`, with a number behind it if need be."""
         stem = name = file_stem(text)
         number = 1
-        while name.lower() in self._taken:
+        while (name.lower(), suffix) in self._taken:
             number += 1
             name = f"{stem}_{number}"
-        self._taken.add(name.lower())
+        self._taken.add((name.lower(), suffix))
         return name

@@ -29,7 +29,7 @@ class MeshFolder:
 
     def write_obj(self, name: str, mesh: PaintedMesh) -> str:
         """Write an OBJ file called `name`, or nearly so, with its materials; returns its path."""
-        stem = self._names.make(name)
+        stem = self._names.make(name, ".obj")
         names = [f"{stem}_{number}" for number in range(len(mesh.parts))]
         materials = "\n".join(
             self._material(own, stem, part) for own, part in zip(names, mesh.parts, strict=True)
@@ -40,13 +40,13 @@ class MeshFolder:
 
     def write_text(self, name: str, suffix: str, text: str) -> str:
         """Write a text file called `name` with an ending; returns its path."""
-        file = f"{self._names.make(name)}{suffix}"
+        file = f"{self._names.make(name, suffix)}{suffix}"
         (self._folder / file).write_text(text)
         return f"{FOLDER}/{file}"
 
     def write_hull(self, name: str, points: Array) -> str:
         """Write the convex hull of points (P, 3) as an STL file; returns its path."""
-        file = f"{self._names.make(name)}.stl"
+        file = f"{self._names.make(name, '.stl')}.stl"
         (self._folder / file).write_bytes(
             trimesh.Trimesh(points, process=False).convex_hull.export(file_type="stl")
         )
@@ -55,7 +55,7 @@ class MeshFolder:
     def write_picture(self, name: str, picture: Bytes) -> str:
         """Write a PNG of bytes (rows, columns, 3), unless it is there already; returns its name."""
         if id(picture) not in self._pictures:
-            file = f"{self._names.make(name)}.png"
+            file = f"{self._names.make(name, '.png')}.png"
             data = io.BytesIO()
             Image.fromarray(picture).save(data, "png")
             (self._folder / file).write_bytes(data.getvalue())

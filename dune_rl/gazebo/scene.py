@@ -19,6 +19,7 @@ from dune_rl.gazebo.painted_mesh import paint_scenery
 from dune_rl.gazebo.robot import WrittenRobot, write_robot
 from dune_rl.gazebo.skin import write_skin
 from dune_rl.gazebo.world import make_world
+from dune_rl.worlds.importing.sdf.elements import role_attribute
 from dune_rl.worlds.world import World
 
 WORLD, SURFACES = "world.sdf", "surfaces.png"
@@ -87,7 +88,7 @@ def _include_robots(world: Element, group: AgentGroup, written: WrittenRobot) ->
     motion = group.body.motion
     standing = group.body.robot.description.standing_height_m
     for agent, name in enumerate(group.names):
-        include = add(world, "include")
+        include = add(world, "include", **role_attribute("robot"))
         add(include, "uri", f"model://{written.name}")
         add(include, "name", name)
         # Legs are longer with all joints at zero.

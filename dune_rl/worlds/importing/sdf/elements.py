@@ -28,18 +28,18 @@ _ROUND_SIDES = 24
 _LARGEST_M = 1e5
 Colour = tuple[float, float, float]
 # What a model is to the importer, as an attribute `role` of that namespace: SDF has none for it.
-Role = Literal["ground", "deck", "obstacle"]
+Role = Literal["ground", "deck", "obstacle", "robot"]
 ROLES = "urn:dune_rl"
 _ROLE = f"{{{ROLES}}}role"
 
 
 def role_attribute(role: Role | None) -> dict[str, str]:
-    """The attribute of a <model> of that role; none for a model whose role is to be determined."""
+    """The attribute of a <model> or an <include> of that role; none for a model whose role is to be determined."""
     return {} if role is None else {_ROLE: role}
 
 
 def parse_role(element: Element) -> Role | None:
-    """The role that a <model> states; raises `WorldError` for an unknown one."""
+    """The role that a <model> or an <include> states; raises `WorldError` for an unknown one."""
     found = element.get(_ROLE)
     for role in get_args(Role):
         if found == role:

@@ -132,6 +132,8 @@ class SdfReader:
         for child in element:
             self._elements += 1
             self._limit(self._elements, _MOST_ELEMENTS, "elements")
+            if parse_role(child) == "robot":
+                continue
             if child.tag in ("world", "model"):
                 # In Gazebo, a model without <static> falls and can be pushed.
                 if child.tag == "model" and _text(child, "static") not in ("true", "1"):
