@@ -12,7 +12,7 @@ from dune_rl.gazebo.mesh_folder import MeshFolder
 from dune_rl.gazebo.robot_bodies import RobotBodies, lowest_point
 from dune_rl.gazebo.robot_plugins import make_plugins
 from dune_rl.gazebo.robot_sensors import MountedSensor, make_sensors
-from dune_rl.gazebo.world import add_friction, add_material
+from dune_rl.gazebo.world import add_material, add_surface
 from dune_rl.robots.robot import Robot
 from dune_rl.robots.urdf.bodies import RigidBody
 from dune_rl.robots.urdf.elements import write_inertial, write_joint, write_origin, write_shape
@@ -89,11 +89,10 @@ def _add_link(model: Element, body: RigidBody, bodies: RobotBodies) -> Element:
     link = add(model, "link", name=body.name)
     add_pose(link, body.pose_b[:3, 3], body.pose_b[:3, :3])
     _add_inertial(link, body.inertial)
-    for number, shape in enumerate(body.shapes):
+    friction, along_axle = bodies.friction(body.name), bodies.friction_along_axle(body.name)
+    for number, (shape, bit) in enumerate(zip(body.shapes, bodies.collision_bits(body), strict=True)):
         collision = _add_shape(link, "collision", number, shape.geometry)
-        add_friction(
-            collision, bodies.friction(body.name), along_axle=bodies.friction_along_axle(body.name)
-        )
+        add_surface(collision, friction, along_axle=along_axle, bit=bit)
     for number, geometry in enumerate(body.visuals):
         visual = _add_shape(link, "visual", number, geometry)
         if geometry.colour is not None:
@@ -156,7 +155,7 @@ def _make_urdf(
         write_inertial(link, body.inertial)
         for kind, shapes in (
             ("visual", body.visuals),
-            ("collision", [shape.geometry for shape in body.shapes]),
+            ("collision", [shape.geometry for shape in bodies.solid_shapes(body)]),
         ):
             for geometry in shapes:
                 holder = write_shape(link, kind, geometry)
@@ -198,7 +197,7 @@ def _write_joint(root: Element, joint: Joint, bodies: RobotBodies) -> None:
 
 
 def _write_friction(root: Element, link: str, bodies: RobotBodies) -> None:
-    """Add a link's friction, as `add_friction` does in SDF."""
+    """Add a link's friction, as `add_surface` does in SDF."""
     gazebo = add(root, "gazebo", reference=link)
     rolling, along_axle = bodies.friction(link), bodies.friction_along_axle(link)
     add(gazebo, "mu1", words([rolling if along_axle is None else along_axle]))

@@ -8,6 +8,7 @@ import trimesh
 
 from dune_rl.gazebo.mesh_folder import MeshFolder
 from dune_rl.gazebo.painted_mesh import paint_mesh
+from dune_rl.gazebo.world import GROUND_BIT, OBSTACLE_BIT
 from dune_rl.geometry.arrays import Array
 from dune_rl.physics.robot_body import RobotBody, Tyre
 from dune_rl.robots.urdf.bodies import ConvexShape, RigidBody, merge_links
@@ -27,10 +28,7 @@ class JointDynamics:
 
 
 class RobotBodies:
-    """The bodies of `body`, whose meshes are written into `meshes`.
-
-    Wheels have the cylinder of their tyre as their one shape. Other meshes collide as their convex hulls.
-    """
+    """The bodies of `body`, whose meshes are written into `meshes`; they collide as their convex hulls."""
 
     def __init__(self, body: RobotBody, meshes: MeshFolder) -> None:
         self.body = body
@@ -51,11 +49,25 @@ class RobotBodies:
         self.coupled = {joint for each in body.couplings for joint in (each.leader, each.follower)}
 
     def merge(self, fixed: Collection[str] = ()) -> list[RigidBody]:
-        """The bodies, the base first, with joints called in `fixed` at zero for good."""
+        """The bodies, the base first, with joints called in `fixed` at zero for good.
+
+        The last shape of a wheel that has a tyre is its tyre: see `RobotBody`.
+        """
         moving = [
             name for name, joint in self.model.joints.items() if joint.kind != "fixed" and name not in fixed
         ]
         return [self._exported(each) for each in merge_links(self.model, moving, self._sources)]
+
+    def solid_shapes(self, body: RigidBody) -> tuple[ConvexShape, ...]:
+        """The shapes of a body that are as wide as it is: of a wheel that has a tyre, that alone."""
+        return body.shapes[-1:] if body.name in self._tyres else body.shapes
+
+    def collision_bits(self, body: RigidBody) -> list[int | None]:
+        """What each shape of a body collides with: the ground, all but the ground, or everything (None)."""
+        if body.name in self._tyres:
+            return [GROUND_BIT] * (len(body.shapes) - 1) + [OBSTACLE_BIT]
+        rolls = body.name in self.body.ground_links and not self.body.ground_links_meet_obstacles
+        return [GROUND_BIT if rolls else None] * len(body.shapes)
 
     def friction(self, link: str) -> float:
         """The friction coefficient of a link."""
@@ -80,7 +92,7 @@ class RobotBodies:
 
     def _exported(self, body: RigidBody) -> RigidBody:
         tyre = self._tyres.get(body.name)
-        shapes = body.shapes if tyre is None else (_tyre_shape(tyre),)
+        shapes = body.shapes if tyre is None else (*body.shapes, _tyre_shape(tyre))
         return replace(
             body,
             shapes=tuple(self._solid(body.name, shape) for shape in shapes),

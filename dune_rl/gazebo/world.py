@@ -33,6 +33,8 @@ _SYSTEMS = (
 _BORDER_M = 0.5
 _SUN_HEIGHT_M = 30.0
 _WATER_TRANSPARENCY = 0.35
+# Bits of what collides: ground and decks, and all else. A robot's wheels may collide with either alone.
+GROUND_BIT, OBSTACLE_BIT = 1, 2
 
 
 def make_world(name: str, world: World, weather: WeatherConf, physics: PhysicsConf, meshes: MeshFolder) -> Element:
@@ -81,7 +83,7 @@ def _add_ground(world: Element, name: str, its: World, meshes: MeshFolder) -> No
     picture = (linear_to_srgb(build_scenery(its).ground[::-1]) * 255.0 + 0.5).astype(np.uint8)
     if its.surfaces is None:
         path = meshes.write_obj(name, _ground_mesh(its.terrain, picture, None))
-        _add_shapes(link, "all", path, its.friction)
+        _add_shapes(link, "all", path, its.friction, GROUND_BIT)
         return
     terrain = _refine(its.terrain)
     vertices, faces = terrain.mesh()
@@ -90,7 +92,7 @@ def _add_ground(world: Element, name: str, its: World, meshes: MeshFolder) -> No
         surface = its.surfaces.surfaces[number]
         mesh = _ground_mesh(terrain, picture, numbers == number)
         path = meshes.write_obj(f"{name} {surface.name}", mesh)
-        _add_shapes(link, surface.name, path, surface.friction, surface.restitution)
+        _add_shapes(link, surface.name, path, surface.friction, GROUND_BIT, surface.restitution)
 
 
 def _ground_mesh(terrain: HeightField, picture: Bytes, chosen: NDArray[np.bool_] | None) -> PaintedMesh:
@@ -123,7 +125,8 @@ def _add_prop(world: Element, name: str, prop: Prop, its: World, meshes: MeshFol
     link = _add_static(world, name, origin, role)
     mesh = paint_prop(prop, origin)
     path = meshes.write_obj(name, mesh)
-    visual = _add_shapes(link, "all", path, _friction(prop, its, origin) if prop.solid else None)
+    bit = GROUND_BIT if prop.drivable else OBSTACLE_BIT
+    visual = _add_shapes(link, "all", path, _friction(prop, its, origin) if prop.solid else None, bit)
     if mesh.colour is not None:
         add_material(visual, mesh.colour)
     if prop.segment_class == Segment.WATER:
@@ -148,7 +151,7 @@ def _add_static(world: Element, name: str, position: Array, role: Role | None) -
 
 
 def _add_shapes(
-    link: Element, name: str, path: str, friction: float | None, restitution: float = 0.0
+    link: Element, name: str, path: str, friction: float | None, bit: int, restitution: float = 0.0
 ) -> Element:
     """Add a mesh as a visual, which is returned, and with a `friction` as a collision as well."""
     kinds = ("visual",) if friction is None else ("collision", "visual")
@@ -156,23 +159,30 @@ def _add_shapes(
         holder = add(link, kind, name=f"{name}_{kind}")
         add(add(add(holder, "geometry"), "mesh"), "uri", path)
         if kind == "collision" and friction is not None:
-            add_friction(holder, friction, restitution=restitution)
+            add_surface(holder, friction, bit=bit, restitution=restitution)
     return holder
 
 
-def add_friction(
-    collision: Element, rolling: float, *, along_axle: float | None = None, restitution: float = 0.0
+def add_surface(
+    collision: Element,
+    friction: float,
+    *,
+    along_axle: float | None = None,
+    bit: int | None = None,
+    restitution: float = 0.0,
 ) -> None:
-    """Add the surface of a collision; a wheel's friction `along_axle`, the y axis of its link, may differ."""
+    """Add the surface of a collision; a wheel's friction `along_axle`, the y axis of its link, may differ.
+
+    It collides with what has the same `bit`, None: with all.
+    """
     surface = add(collision, "surface")
     model = add(add(surface, "friction"), "ode")
-    if along_axle is None:
-        add(model, "mu", words([rolling]))
-        add(model, "mu2", words([rolling]))
-    else:
-        add(model, "mu", words([along_axle]))
-        add(model, "mu2", words([rolling]))
+    add(model, "mu", words([friction if along_axle is None else along_axle]))
+    add(model, "mu2", words([friction]))
+    if along_axle is not None:
         add(model, "fdir1", "0 1 0")
+    if bit is not None:
+        add(add(surface, "contact"), "collide_bitmask", bit)
     if restitution:
         add(add(surface, "bounce"), "restitution_coefficient", words([restitution]))
 
