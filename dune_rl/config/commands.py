@@ -89,8 +89,14 @@ class GazeboConf(EnvConf):
 
     seed: int = Field(0, ge=0)
     duration_s: float = Field(60.0, gt=0.0, le=3_600.0)
-    out: str = Field(min_length=1)
+    out: str | None = Field(None, min_length=1)
     overwrite: bool = False
+
+    @model_validator(mode="after")
+    def _somewhere(self) -> Self:
+        if self.out is None:
+            raise ValueError("out is missing; name the folder to write: out=FOLDER")
+        return self
 
 
 class ForecastConf(EnvConf):

@@ -1,6 +1,6 @@
 """A robot as rigid bodies with the shapes, frictions and joints that Gazebo gets."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +19,10 @@ from dune_rl.robots.urdf.reader import read_urdf
 
 @dataclass(frozen=True)
 class JointDynamics:
-    """Largest torque [N·m] and speed [rad/s] of a joint's motor, None without, and its friction and damping."""
+    """Largest torque [N·m] and speed [rad/s] of a joint's motor, and the joint's friction and damping.
+
+    Without a motor, or a limit of it, they are None.
+    """
 
     effort: float | None
     velocity: float | None
@@ -62,7 +65,7 @@ class RobotBodies:
         """The shapes of a body that are as wide as it is: of a wheel that has a tyre, that alone."""
         return body.shapes[-1:] if body.name in self._tyres else body.shapes
 
-    def collision_bits(self, body: RigidBody) -> list[int | None]:
+    def collision_bits(self, body: RigidBody) -> Sequence[int | None]:
         """What each shape of a body collides with: the ground, all but the ground, or everything (None)."""
         if body.name in self._tyres:
             return [GROUND_BIT] * (len(body.shapes) - 1) + [OBSTACLE_BIT]

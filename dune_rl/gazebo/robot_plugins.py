@@ -12,7 +12,10 @@ _ODOMETRY_HZ = 20
 
 
 def make_plugins(robot: Robot) -> list[Element]:
-    """A differential drive for wheels that skid, a controller of its own for every other motor, and states."""
+    """Systems that publish the joints' states and drive them.
+
+    Wheels that skid have a differential drive, and all other motors a controller each.
+    """
     description, motors = robot.description, robot.body.motors
     wheels = description.wheels
     states = _plugin("JointStatePublisher", "joint-state-publisher")

@@ -52,8 +52,8 @@ def make_sensors(
                 rings = np.deg2rad(conf.rings_deg or (0.0,))
                 element = _lidar(name, conf, conf.n_beams, rings, period_s)
             case Lidar3dConf():
-                ends = np.deg2rad([conf.lowest_elevation_deg, conf.highest_elevation_deg])
-                element = _lidar(name, conf, conf.n_beams, np.linspace(*ends, conf.n_rings), period_s)
+                rings = np.linspace(conf.lowest_elevation_deg, conf.highest_elevation_deg, conf.n_rings)
+                element = _lidar(name, conf, conf.n_beams, np.deg2rad(rings), period_s)
             case CameraConf(projection="pinhole") if {"rgb", "grey", "depth"} & {*conf.outputs}:
                 pitch_rad = float(np.deg2rad(conf.pitch_deg or 0.0))
                 element = _camera(name, conf, period_s)

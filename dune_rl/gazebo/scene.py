@@ -52,18 +52,18 @@ def write_robots(folder: Path, simulation: VectorSimulation) -> dict[str, Writte
 def write_scene(
     folder: Path, name: str, simulation: VectorSimulation, duration_s: float, *, with_robots: bool
 ) -> WrittenScene:
-    """Write the first scene of a simulation, which has just been reset, and `duration_s` of its actors' motion.
+    """Write the first scene of a simulation, which has just been reset, as a world called `name`.
 
-    The robots are left out unless `with_robots`.
+    Its actors are followed for `duration_s`. The robots are left out unless `with_robots`.
     """
     look = simulation.scenes.worlds.appearances[0]
     world = look.world
     meshes = MeshFolder(folder)
     element = make_world(name, world, look.weather, simulation.physics, meshes)
     robots = write_robots(folder, simulation) if with_robots else {}
-    for group, _ in _robots_of(simulation):
+    for group, body in _robots_of(simulation):
         if with_robots:
-            _include_robots(element, group, robots[group.name])
+            _include_robots(element, group, body, robots[group.name])
     actors = record_actors(simulation, duration_s)
     _add_actors(element, actors, meshes)
     root = make_sdf()
@@ -83,10 +83,11 @@ def _name_of(body: ArticulatedBody) -> str:
     return body.robot.body.urdf.stem
 
 
-def _include_robots(world: Element, group: AgentGroup, written: WrittenRobot) -> None:
+def _include_robots(
+    world: Element, group: AgentGroup, body: ArticulatedBody, written: WrittenRobot
+) -> None:
     """Include the robots of a group in the first scene, as they stand there now, their joints at zero."""
-    motion = group.body.motion
-    standing = group.body.robot.description.standing_height_m
+    motion, standing = body.motion, body.robot.description.standing_height_m
     for agent, name in enumerate(group.names):
         include = add(world, "include", **role_attribute("robot"))
         add(include, "uri", f"model://{written.name}")
@@ -102,13 +103,10 @@ def _add_actors(world: Element, actors: Sequence[RecordedActor], meshes: MeshFol
         key = id(actor.shape)
         if key not in skins:
             skins[key] = write_skin(meshes, actor.name, paint_scenery(actor.shape))
-        world.append(
-            make_actor(actor.name, actor.times, actor.poses, skin=skins[key], animation=skins[key])
-        )
+        world.append(make_actor(actor.name, actor.times, actor.poses, skin=skins[key], animation=skins[key]))
 
 
 def _write_surfaces(path: Path, world: World) -> None:
     """Write the numbers of a world's surfaces as a picture, its first row in the north."""
     assert world.surfaces is not None
     Image.fromarray(np.ascontiguousarray(world.surfaces.numbers[::-1])).save(path)
-

@@ -41,9 +41,7 @@ def write_skin(folder: MeshFolder, name: str, mesh: PaintedMesh) -> str:
 
 
 def _add_materials(root: Element, mesh: PaintedMesh, pictures: list[str | None]) -> None:
-    images, effects, materials = (
-        add(root, f"library_{kind}") for kind in ("images", "effects", "materials")
-    )
+    images, effects, materials = (add(root, f"library_{kind}") for kind in ("images", "effects", "materials"))
     for number, (part, picture) in enumerate(zip(mesh.parts, pictures, strict=True)):
         profile = add(add(effects, "effect", id=f"effect_{number}"), "profile_COMMON")
         if picture is not None:
@@ -153,5 +151,7 @@ def _add_names(parent: Element, name: str, tag: str, values: str, param: str, ki
     source = add(parent, "source", id=name)
     count = str(len(values.split()))
     add(source, tag, values, id=f"{name}_array", count=count)
-    access = add(add(source, "technique_common"), "accessor", source=f"#{name}_array", count=count, stride="1")
+    access = add(
+        add(source, "technique_common"), "accessor", source=f"#{name}_array", count=count, stride="1"
+    )
     add(access, "param", name=param, type=kind)

@@ -37,7 +37,9 @@ _WATER_TRANSPARENCY = 0.35
 GROUND_BIT, OBSTACLE_BIT = 1, 2
 
 
-def make_world(name: str, world: World, weather: WeatherConf, physics: PhysicsConf, meshes: MeshFolder) -> Element:
+def make_world(
+    name: str, world: World, weather: WeatherConf, physics: PhysicsConf, meshes: MeshFolder
+) -> Element:
     """The <world> element called `name`; its meshes are written into `meshes`."""
     element = Element("world", name=name)
     engine = add(element, "physics", name="default", type="ode")

@@ -51,7 +51,9 @@ def sdf_text(actor: ActorTrajectory, appearance: Appearance = Appearance()) -> s
             interpolate_x=True,
             loop=actor.loop,
             delay_s=actor.delay_s,
-            comment=f"The poses' z is {format_number(lift)} m above the ground: the height of the skin's origin.",
+            comment=(
+                f"The poses' z is {format_number(lift)} m above the ground: the height of the skin's origin."
+            ),
         )
     )
     return document_text(root)

@@ -43,7 +43,8 @@ def subjects_of(overrides: Sequence[str]) -> set[Subject]:
     subjects = {_NAMED_BY[key] for key in keys if key in _NAMED_BY}
     if not subjects:
         raise ConfigError(
-            "choose what to export: checkpoint=PATH out=FILE.onnx, world=NAME out=FOLDER or robot=NAME out=FOLDER"
+            "choose what to export: checkpoint=PATH out=FILE.onnx, world=NAME out=FOLDER, or robot=NAME "
+            "out=FOLDER"
         )
     if "policy" in subjects and len(subjects) > 1:
         raise ConfigError("a policy is exported apart: leave out checkpoint=PATH, or the world and the robot")

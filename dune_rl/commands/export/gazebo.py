@@ -30,6 +30,7 @@ def compose_words(parsed: Namespace) -> GazeboConf:
 
 def export_scene(conf: GazeboConf, *, with_world: bool, with_robots: bool) -> None:
     """Write the folder of the settings, and print what is in it."""
+    assert conf.out is not None
     out = Path(conf.out)
     check_folder(out, overwrite=conf.overwrite)
     simulation = make_simulation(_without_ends(conf), 1, conf.seed)
@@ -77,9 +78,7 @@ def _describe_world(out: Path, scene: WrittenScene, simulation: VectorSimulation
     world = simulation.scenes.worlds.worlds[0]
     yield f"{out / WORLD}: {scene.objects} objects, {scene.actors} actors"
     left_out = [
-        group.name
-        for group in simulation.groups
-        if not group.description.is_robot and not is_recorded(group)
+        group.name for group in simulation.groups if not group.description.is_robot and not is_recorded(group)
     ]
     if left_out:
         yield f"left out: {', '.join(left_out)}, who come and go"

@@ -34,7 +34,7 @@ _ROLE = f"{{{ROLES}}}role"
 
 
 def role_attribute(role: Role | None) -> dict[str, str]:
-    """The attribute of a <model> or an <include> of that role; none for a model whose role is to be determined."""
+    """The attribute of a <model> or an <include> that states its role; nothing for None."""
     return {} if role is None else {_ROLE: role}
 
 
@@ -45,7 +45,8 @@ def parse_role(element: Element) -> Role | None:
         if found == role:
             return role
     if found is not None:
-        raise WorldError(f"a role of a <model> is {', '.join(get_args(Role))} (got {printable(found, 40)!r}).")
+        known = ", ".join(get_args(Role))
+        raise WorldError(f"the role of a <model> must be one of {known} (got {printable(found, 40)!r}).")
     return None
 
 

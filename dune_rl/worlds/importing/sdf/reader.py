@@ -1,6 +1,6 @@
 """Reading of Gazebo models and worlds (SDF) into parts, planes, height maps, a sun and frictions."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -45,14 +45,6 @@ _IGNORED = {
     *("atmosphere", "magnetic_field", "spherical_coordinates", "state", "self_collide", "enable_wind"),
     *("allow_auto_disable", "kinematic", "velocity_decay", "must_be_base_link", "frame", "author"),
 }  # fmt: skip
-
-
-# Of the parts of models that state their role.
-_ROLES: Mapping[Role | None, Mapping[str, bool]] = {
-    "ground": {"ground": True},
-    "deck": {"ground": False, "drivable": True},
-    "obstacle": {"ground": False},
-}
 
 
 @dataclass(eq=False)
@@ -216,7 +208,7 @@ class SdfReader:
                 self._record_friction("heightmap", friction)
             elif shape.tag != "empty":
                 parts = [
-                    replace(part, **_ROLES.get(place.role, {}))
+                    _with_role(part, place.role)
                     for part in self._read_mesh(shape, place, colour, solid)
                 ]
                 for part in parts:
@@ -331,6 +323,11 @@ class SdfReader:
         else:
             turn = self._at(place, element).matrix[:3, :3]
             self._contents.light = parse_sun(element, turn, self._report)
+
+
+def _with_role(part: MeshPart, role: Role | None) -> MeshPart:
+    """The part of a model that states its role, if it states one."""
+    return part if role is None else replace(part, ground=role == "ground", drivable=role == "deck")
 
 
 def mean_colour(picture: Bytes) -> Colour:
