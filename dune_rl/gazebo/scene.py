@@ -19,6 +19,7 @@ from dune_rl.gazebo.painted_mesh import paint_scenery
 from dune_rl.gazebo.robot import WrittenRobot, write_robot
 from dune_rl.gazebo.skin import write_skin
 from dune_rl.gazebo.world import make_world
+from dune_rl.robots.urdf.reader import read_urdf
 from dune_rl.worlds.importing.sdf.elements import role_attribute
 from dune_rl.worlds.world import World
 
@@ -40,7 +41,7 @@ def write_robots(folder: Path, simulation: VectorSimulation) -> dict[str, Writte
     return {
         group.name: write_robot(
             folder,
-            names.make(_name_of(body)),
+            names.make(read_urdf(body.robot.body.urdf).name),
             body.robot,
             {} if group.suite is None else group.suite.settings,
             simulation.physics.control_step_s,
@@ -78,14 +79,7 @@ def _robots_of(simulation: VectorSimulation) -> list[tuple[AgentGroup, Articulat
     return [(group, group.body) for group in simulation.groups if isinstance(group.body, ArticulatedBody)]
 
 
-def _name_of(body: ArticulatedBody) -> str:
-    """A robot's name: that of its URDF."""
-    return body.robot.body.urdf.stem
-
-
-def _include_robots(
-    world: Element, group: AgentGroup, body: ArticulatedBody, written: WrittenRobot
-) -> None:
+def _include_robots(world: Element, group: AgentGroup, body: ArticulatedBody, written: WrittenRobot) -> None:
     """Include the robots of a group in the first scene, as they stand there now, their joints at zero."""
     motion, standing = body.motion, body.robot.description.standing_height_m
     for agent, name in enumerate(group.names):

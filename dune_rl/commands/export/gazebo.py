@@ -96,4 +96,4 @@ def _describe_robot(out: Path, robot: WrittenRobot) -> Iterator[str]:
     folder = out / robot.name
     yield f"{folder}: model.sdf, {robot.name}.urdf"
     if robot.others:
-        yield f"no sensors of Gazebo: {', '.join(robot.others)}"
+        yield f"left out: the sensors {', '.join(robot.others)}, which Gazebo does not have"

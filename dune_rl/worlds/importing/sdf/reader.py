@@ -208,8 +208,7 @@ class SdfReader:
                 self._record_friction("heightmap", friction)
             elif shape.tag != "empty":
                 parts = [
-                    _with_role(part, place.role)
-                    for part in self._read_mesh(shape, place, colour, solid)
+                    _with_role(part, place.role) for part in self._read_mesh(shape, place, colour, solid)
                 ]
                 for part in parts:
                     self._faces += len(part.faces)
