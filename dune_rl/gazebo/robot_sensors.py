@@ -91,11 +91,12 @@ def _lidar(name: str, conf: ScannerConf, beams: int, elevations: Array, period_s
     add(limits, "min", words([max(conf.min_range_m, _NEAREST_M)]))
     add(limits, "max", words([conf.range_m]))
     add(limits, "resolution", words([0.0 if conf.realism is None else conf.realism.quantum_m]))
-    if conf.realism is not None and conf.realism.noise_m:
+    if conf.realism is not None and (conf.realism.noise_m or conf.realism.noise_share):
         noise = add(lidar, "noise")
         add(noise, "type", "gaussian")
         add(noise, "mean", 0)
-        add(noise, "stddev", words([conf.realism.noise_m]))
+        # One for all ranges: that of half the largest.
+        add(noise, "stddev", words([conf.realism.noise_m + conf.realism.noise_share * conf.range_m / 2]))
     return element
 
 

@@ -24,6 +24,7 @@ SPLINE_M = 0.02
 FLAT = {"name": "flat", "size_m": 20.0}
 
 
+@pytest.mark.slow
 def test_trajectories_are_those_of_the_episode(tmp_path: Path) -> None:
     simulation = started_simulation(FLAT, actors="walkers", seed=2)
     recorded = record_actors(simulation, 8.0)
@@ -62,7 +63,7 @@ def test_visitors_are_left_out() -> None:
     simulation.close()
 
 
-@pytest.mark.slow(all_but=["cars"])
+@pytest.mark.slow
 @pytest.mark.parametrize("actors", ["walkers", "cars"])
 def test_a_skin_is_the_body_on_a_bone(actors: str, tmp_path: Path) -> None:
     simulation = started_simulation("flat", actors=actors)

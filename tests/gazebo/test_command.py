@@ -54,6 +54,7 @@ def test_what_is_read_back_is_said(folder: Path, call: Call, capsys) -> None:
     )
 
 
+@pytest.mark.slow(all_but=["*choose what to export*", "*exported apart*", "*no world*", "*other files*"])
 @pytest.mark.parametrize(
     ("words", "said"),
     [

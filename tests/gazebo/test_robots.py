@@ -11,12 +11,15 @@ from libsdformat import assert_valid
 from simulations import started_simulation
 from urdf_files import write_cart
 
+from dune_rl.gazebo.robot_sensors import make_sensors
 from dune_rl.gazebo.scene import WORLD, write_robots, write_scene
 from dune_rl.geometry.frames import rotation_from_angles
 from dune_rl.robots.robot import Robot
 from dune_rl.robots.urdf.conf import UrdfConf
 from dune_rl.robots.urdf.reader import read_urdf
 from dune_rl.robots.urdf.robot import UrdfRobot
+from dune_rl.sensors.conf import parse_sensors
+from dune_rl.state.sensor_carrier import SensorCarrier
 
 ROBOTS = ("rover_zero", "leo_rover", "hyperdog")
 
@@ -103,6 +106,7 @@ def test_the_urdf_drives_as_a_robot_of_the_same_wheels(name: str, robots: dict[s
     assert len(read.body.couplings) == (1 if name == "leo_rover" else 0)
 
 
+@pytest.mark.slow
 def test_a_urdf_of_a_user_is_exported_with_its_meshes(tmp_path: Path) -> None:
     path = write_cart(tmp_path)
     (tmp_path / "out").mkdir()
@@ -118,10 +122,10 @@ def test_a_urdf_of_a_user_is_exported_with_its_meshes(tmp_path: Path) -> None:
     assert [each.text for each in cart.model.iter("diffuse")] == ["0.8 0.1 0.1 1"]
 
 
+@pytest.mark.slow
 def test_wheels_roll_on_spheres_and_meet_obstacles_with_their_tyres(tmp_path: Path) -> None:
-    _, model, _ = export(
-        tmp_path, {"name": "leo_rover", "wheel_friction": 0.8, "sideways_friction_share": 0.5}
-    )
+    settings = {"name": "leo_rover", "wheel_friction": 0.8, "sideways_friction_share": 0.5}
+    model = export(tmp_path, robot=settings)["leo_rover"].model
     (wheel,) = model.findall("link[@name='front_left_wheel']")
     ball, tyre = wheel.findall("collision")
     assert numbers(ball, "geometry/sphere/radius") == [0.0625]
@@ -156,7 +160,7 @@ def test_drives_have_the_robot_s_limits(robots: dict[str, Exported]) -> None:
     assert any(numbers(each, "initial_position")[0] > 0.5 for each in servos)
 
 
-def test_sensors_are_those_of_the_settings(tmp_path: Path) -> None:
+def test_sensors_are_those_of_the_settings() -> None:
     sensors = {
         "lidar": {
             "n_beams": 90,
@@ -178,13 +182,11 @@ def test_sensors_are_those_of_the_settings(tmp_path: Path) -> None:
         "eye": {"sensor": "camera", "projection": "fisheye", "fov_deg": 160.0},
         "goal": {},
     }
-    simulation = started_simulation("flat", sensors=sensors)
-    (written,) = write_robots(tmp_path, simulation).values()
-    simulation.close()
-    assert {"eye", "goal"} <= set(written.others)
-    assert_valid(tmp_path / "rover_zero" / "model.sdf", tmp_path)
-    model = ElementTree.parse(tmp_path / "rover_zero" / "model.sdf")
-    found = {each.get("name"): each for each in model.iter("sensor")}
+    carrier = SensorCarrier(scanner_b=(0.2, 0.0, 0.3), camera_b=(0.2, 0.0, 0.175), imu_b=(0.0, 0.0, 0.1))
+    settings = {name: conf.mounted_on(carrier) for name, conf in parse_sensors(sensors).items()}
+    mounted, others = make_sensors(settings, 0.05)
+    assert others == ["eye", "goal"]
+    found = {each.name: each.element for each in mounted}
     kinds = {name: each.get("type") for name, each in found.items()}
     lidars = dict.fromkeys(("lidar", "rings", "lidar_3d"), "gpu_lidar")
     assert kinds == {**lidars, "camera": "rgbd_camera", "imu": "imu"}
@@ -199,17 +201,28 @@ def test_sensors_are_those_of_the_settings(tmp_path: Path) -> None:
     assert numbers(found["rings"], "lidar/scan/horizontal/max_angle") == pytest.approx([np.pi - np.pi / 64])
     assert numbers(found["rings"], "lidar/scan/vertical/samples") == [3]
     assert numbers(found["rings"], "lidar/scan/vertical/min_angle") == pytest.approx([np.deg2rad(-10.0)])
-    assert numbers(found["rings"], "pose") == [0.1, 0.0, 0.3, 0.0, 0.0, 0.0]
     assert numbers(found["lidar_3d"], "lidar/scan/vertical/samples") == [4]
     camera = found["camera"]
     assert numbers(camera, "camera/horizontal_fov") == pytest.approx([np.deg2rad(70.0)])
     assert (numbers(camera, "camera/image/width"), numbers(camera, "camera/image/height")) == ([80], [60])
-    assert numbers(camera, "pose") == pytest.approx([0.2, 0.0, 0.175, 0.0, np.deg2rad(20.0), 0.0])
     noise = found["imu"].find("imu/angular_velocity/x/noise")
     assert (numbers(noise, "stddev"), numbers(noise, "bias_stddev")) == ([0.02], [0.01])
-    urdf = ElementTree.parse(tmp_path / "rover_zero" / "rover_zero.urdf")
-    frames = {joint.find("child").get("link"): joint for joint in urdf.iter("joint")}
-    assert frames["rings_link"].find("origin").get("xyz") == "0.1 0.0 0.3"
+    poses = {each.name: each.pose for each in mounted}
+    np.testing.assert_allclose(poses["rings"][:3, 3], [0.1, 0.0, 0.3])
+    np.testing.assert_allclose(poses["camera"][:3, 3], carrier.camera_b)
+    # Downward.
+    np.testing.assert_allclose(poses["camera"][:3, 0], [np.cos(np.deg2rad(20)), 0.0, -np.sin(np.deg2rad(20))])
+
+
+def test_sensors_are_on_the_base_and_have_frames(robots: dict[str, Exported]) -> None:
+    rover = robots["rover_zero"]
+    poses = {each.get("name"): numbers(each, "pose") for each in rover.model.iter("sensor")}
+    assert poses["lidar"] == [0.174, 0.0, 0.196, 0.0, 0.0, 0.0]
+    joints = ElementTree.parse(rover.urdf).findall("joint")
+    origins = {each.find("child").get("link"): each.find("origin").get("xyz") for each in joints}
+    assert origins["lidar_link"] == "0.174 0.0 0.196"
+    holders = {each.get("reference") for each in ElementTree.parse(rover.urdf).findall("gazebo[sensor]")}
+    assert holders == {"camera_link", "lidar_link", "imu_link"}
 
 
 @pytest.mark.slow

@@ -106,6 +106,7 @@ def test_without_its_spacing_the_ground_is_a_few_centimetres_off(tmp_path: Path)
     assert 1e-3 < away.max() < 0.05
 
 
+@pytest.mark.slow
 def test_every_surface_has_its_friction(tmp_path: Path) -> None:
     settings = {"name": "flat", "size_m": 20.0, "surfaces": "natural", "friction": 0.9}
     simulation = started_simulation(settings)

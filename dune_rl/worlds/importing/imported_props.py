@@ -85,7 +85,7 @@ def _split_pieces(part: MeshPart, rest: NDArray[np.intp], terrain: HeightField) 
     order = np.argsort(number, kind="stable")
     for piece in np.split(rest[order], np.flatnonzero(np.diff(number[order])) + 1):
         faces = part.faces[piece]
-        if part.solid and (over[faces] < _FLUSH_M).all():
+        if part.solid and not part.drivable and (over[faces] < _FLUSH_M).all():
             continue
         vertices, corners, source = close_surface(part.vertices, faces, height)
         texture = None if part.texture is None else part.texture.select_faces(piece[source])
