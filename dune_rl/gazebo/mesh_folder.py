@@ -34,14 +34,14 @@ class MeshFolder:
         materials = "\n".join(
             self._material(own, stem, part) for own, part in zip(names, mesh.parts, strict=True)
         )
-        (self._folder / f"{stem}.mtl").write_text(materials)
-        (self._folder / f"{stem}.obj").write_text(_obj_text(mesh, f"{stem}.mtl", names))
+        (self._folder / f"{stem}.mtl").write_text(materials, encoding="utf-8")
+        (self._folder / f"{stem}.obj").write_text(_obj_text(mesh, f"{stem}.mtl", names), encoding="utf-8")
         return f"{FOLDER}/{stem}.obj"
 
     def write_text(self, name: str, suffix: str, text: str) -> str:
         """Write a text file called `name` with an ending; returns its path."""
         file = f"{self._names.make(name, suffix)}{suffix}"
-        (self._folder / file).write_text(text)
+        (self._folder / file).write_text(text, encoding="utf-8")
         return f"{FOLDER}/{file}"
 
     def write_hull(self, name: str, points: Array) -> str:

@@ -46,9 +46,10 @@ def write_robot(
     model = _make_model(name, bodies, parts, mounted, plugins)
     root = make_sdf()
     root.append(model)
-    (own / "model.sdf").write_text(document_text(root))
-    (own / f"{name}.urdf").write_text(document_text(_make_urdf(name, bodies, mounted, plugins)))
-    (own / "model.config").write_text(document_text(_make_config(name)))
+    (own / "model.sdf").write_text(document_text(root), encoding="utf-8")
+    urdf = _make_urdf(name, bodies, mounted, plugins)
+    (own / f"{name}.urdf").write_text(document_text(urdf), encoding="utf-8")
+    (own / "model.config").write_text(document_text(_make_config(name)), encoding="utf-8")
     return WrittenRobot(name, -lowest_point(parts), others)
 
 

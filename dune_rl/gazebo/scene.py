@@ -60,7 +60,8 @@ def write_scene(
     look = simulation.scenes.worlds.appearances[0]
     world = look.world
     meshes = MeshFolder(folder)
-    element = make_world(name, world, look.weather, simulation.physics, meshes)
+    agents = [agent for group in simulation.groups for agent in group.names]
+    element = make_world(name, world, look.weather, simulation.physics, meshes, agents)
     robots = write_robots(folder, simulation) if with_robots else {}
     for group, body in _robots_of(simulation):
         if with_robots:
@@ -69,7 +70,7 @@ def write_scene(
     _add_actors(element, actors, meshes)
     root = make_sdf()
     root.append(element)
-    (folder / WORLD).write_text(document_text(root))
+    (folder / WORLD).write_text(document_text(root), encoding="utf-8")
     if world.surfaces is not None:
         _write_surfaces(folder / SURFACES, world)
     return WrittenScene(len(world.props), len(actors), robots)

@@ -1,5 +1,6 @@
 """A world as SDF: ground, objects, sun, sky and physics."""
 
+from collections.abc import Iterable
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -31,16 +32,24 @@ _SYSTEMS = (
 )
 # Where ground has several surfaces, their borders are along triangles of at most this side.
 _BORDER_M = 0.5
-_SUN_HEIGHT_M = 30.0
+_SUN, _SUN_HEIGHT_M = "sun", 30.0
 _WATER_TRANSPARENCY = 0.35
 # Bits of what collides: ground and decks, and all else. A robot's wheels may collide with either alone.
 GROUND_BIT, OBSTACLE_BIT = 1, 2
 
 
 def make_world(
-    name: str, world: World, weather: WeatherConf, physics: PhysicsConf, meshes: MeshFolder
+    name: str,
+    world: World,
+    weather: WeatherConf,
+    physics: PhysicsConf,
+    meshes: MeshFolder,
+    others: Iterable[str] = (),
 ) -> Element:
-    """The <world> element called `name`; its meshes are written into `meshes`."""
+    """The <world> element called `name`; its meshes are written into `meshes`.
+
+    No model has the name of one of the `others` that are to be added.
+    """
     element = Element("world", name=name)
     engine = add(element, "physics", name="default", type="ode")
     add(engine, "max_step_size", words([1.0 / physics.physics_hz]))
@@ -55,6 +64,8 @@ def make_world(
     add(element, "gravity", words([0.0, 0.0, -GRAVITY_MPS2]))
     _add_light(element, with_own_sun(world, weather).sunlight)
     names = UniqueNames()
+    for each in (_SUN, *others):
+        names.make(each)
     _add_ground(element, names.make("ground"), world, meshes)
     for prop in world.props:
         _add_prop(element, names.make(prop.name), prop, world, meshes)
@@ -70,7 +81,7 @@ def _add_light(world: Element, conf: LightConf) -> None:
     add(scene, "background", words([*linear_to_srgb(light.horizon), 1.0]))
     add(scene, "sky")
     add(scene, "shadows", conf.shadows)
-    sun = add(world, "light", name="sun", type="directional")
+    sun = add(world, "light", name=_SUN, type="directional")
     add_pose(sun, (0.0, 0.0, _SUN_HEIGHT_M))
     add(sun, "cast_shadows", conf.shadows)
     add(sun, "intensity", words([conf.brightness]))

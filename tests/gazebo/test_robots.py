@@ -10,6 +10,7 @@ import pytest
 from libsdformat import assert_valid
 from simulations import started_simulation
 from urdf_files import write_cart
+from vehicles import write_car
 
 from dune_rl.gazebo.robot_sensors import make_sensors
 from dune_rl.gazebo.scene import WORLD, write_robots, write_scene
@@ -120,6 +121,22 @@ def test_a_urdf_of_a_user_is_exported_with_its_meshes(tmp_path: Path) -> None:
     assert uris and all((cart.urdf.parent / uri).is_file() for uri in uris)
     assert all(".." not in uri and not uri.startswith("/") for uri in uris)
     assert [each.text for each in cart.model.iter("diffuse")] == ["0.8 0.1 0.1 1"]
+
+
+@pytest.mark.slow
+def test_cars_have_a_controller_for_each_motor(tmp_path: Path) -> None:
+    path = write_car(tmp_path)
+    (tmp_path / "out").mkdir()
+    car = export(tmp_path / "out", robot={"name": "urdf", "path": str(path)})["car"]
+    assert_valid(car.urdf.parent / "model.sdf", tmp_path / "out")
+    kinds = {
+        each.findtext("joint_name"): each.get("name").rsplit("::", 1)[-1]
+        for each in car.model.findall("plugin")
+        if each.find("joint_name") is not None
+    }
+    modes = {"velocity": "JointController", "position": "JointPositionController"}
+    assert kinds == {motor.joint: modes[motor.mode] for motor in car.robot.body.motors}
+    assert set(kinds.values()) == set(modes.values())
 
 
 @pytest.mark.slow

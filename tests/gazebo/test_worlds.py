@@ -14,15 +14,20 @@ from textured_files import write_textured_yard
 from dune_rl.core.errors import WorldError
 from dune_rl.core.untrusted_files import WorldWarning
 from dune_rl.env.simulation import VectorSimulation
+from dune_rl.gazebo.mesh_folder import MeshFolder
 from dune_rl.gazebo.scene import SURFACES, WORLD, write_scene
+from dune_rl.gazebo.world import make_world
+from dune_rl.geometry.heightfield import HeightField
 from dune_rl.geometry.rays import RayScene
+from dune_rl.physics.interface import PhysicsConf
 from dune_rl.rendering.light import LightConf
 from dune_rl.rendering.mesh_texture import TextureSampler
+from dune_rl.rendering.weather import WeatherConf
 from dune_rl.worlds.clearance import SurfaceClearance
 from dune_rl.worlds.importing.imported_world import ImportedWorld
 from dune_rl.worlds.importing.sdf.build import SdfConf, build_sdf
 from dune_rl.worlds.surfaces import SURFACES as KINDS
-from dune_rl.worlds.world import World
+from dune_rl.worlds.world import Prop, World
 
 # Of texts with nine digits, read in single precision, at the edges of steep objects.
 HEIGHT_M, RANGE_M = 1e-4, 2e-3
@@ -180,6 +185,19 @@ def test_the_same_scene_has_the_same_bytes(tmp_path: Path) -> None:
     assert len(files) > 20
     for file in files:
         assert file.read_bytes() == (tmp_path / "two" / file.relative_to(tmp_path / "one")).read_bytes()
+
+
+def test_no_object_has_the_name_of_an_agent(tmp_path: Path) -> None:
+    box = trimesh.creation.box()
+    names = ("sun", "Rover_0", "a/../../b", "wall #2", "wall #2")
+    props = [Prop(name, "wall", np.asarray(box.vertices), np.asarray(box.faces, np.int32)) for name in names]
+    world = World("w", HeightField(np.zeros((5, 5)), 1.0, (-2.0, -2.0)), props, region=(-1, 1, -1, 1))
+    element = make_world("w", world, WeatherConf(), PhysicsConf(), MeshFolder(tmp_path), ["rover_0"])
+    found = [model.get("name") for model in element.findall("model")]
+    assert found == ["ground", "sun_2", "Rover_0_2", "a_.._.._b", "wall_2", "wall_2_2"]
+    written = {path.name for path in (tmp_path / "meshes").iterdir()}
+    assert {f"{name}.obj" for name in found} <= written
+    assert [path.name for path in tmp_path.iterdir()] == ["meshes"]
 
 
 def test_an_unknown_role_is_refused(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Export of a world, its actors and robots for Gazebo, or of robots alone."""
 
+import shlex
 from argparse import Namespace
 from collections.abc import Iterator
 from pathlib import Path
@@ -48,7 +49,10 @@ def export_scene(conf: GazeboConf, *, with_world: bool, with_robots: bool) -> No
     finally:
         simulation.close()
     console = command_line.make_console()
-    for line in [*lines, f"Gazebo finds it by: export GZ_SIM_RESOURCE_PATH={out.resolve()}"]:
+    for line in [
+        *lines,
+        f"Gazebo finds it by: export GZ_SIM_RESOURCE_PATH={shlex.quote(str(out.resolve()))}",
+    ]:
         console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
@@ -85,11 +89,11 @@ def _describe_world(out: Path, scene: WrittenScene, simulation: VectorSimulation
     if world.grass is not None:
         yield "left out: tall grass, through which beams pass"
     region = ",".join(f"{side:g}" for side in world.region)
-    words = [f"+world=sdf world.path={out / WORLD} world.spacing_m={world.terrain.spacing_m:g}"]
-    words += [f"'world.region=[{region}]'"]
+    words = ["+world=sdf", f"world.path={out / WORLD}", f"world.spacing_m={world.terrain.spacing_m:g}"]
+    words += [f"world.region=[{region}]"]
     if world.surfaces is not None:
         words += [f"world.surface_map={out / SURFACES}"]
-    yield f"read back: python -m dune_rl.view {' '.join(words)}"
+    yield f"read back: {shlex.join(['python', '-m', 'dune_rl.view', *words])}"
 
 
 def _describe_robot(out: Path, robot: WrittenRobot) -> Iterator[str]:
