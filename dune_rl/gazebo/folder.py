@@ -54,9 +54,8 @@ def write_aside(out: Path, told: Mapping[str, Any], *, overwrite: bool) -> Itera
         new.mkdir()
         yield new
         entries = sorted(each.name for each in new.iterdir())
-        (new / MANIFEST).write_text(
-            json.dumps({**told, _ENTRIES: entries}, indent=2) + "\n", encoding="utf-8"
-        )
+        manifest = json.dumps({**told, _ENTRIES: entries}, indent=2) + "\n"
+        (new / MANIFEST).write_text(manifest, encoding="utf-8")
         check_folder(out, overwrite=overwrite)
         if place.exists():
             place.rename(old)

@@ -46,13 +46,11 @@ def export_scene(conf: GazeboConf, *, with_world: bool, with_robots: bool) -> No
                 scene = WrittenScene(0, 0, write_robots(folder, simulation))
         lines = [*(_describe_world(out, scene, simulation) if with_world else ())]
         lines += [line for each in scene.robots.values() for line in _describe_robot(out, each)]
+        lines.append(f"Gazebo finds it by: export GZ_SIM_RESOURCE_PATH={shlex.quote(str(out.resolve()))}")
     finally:
         simulation.close()
     console = command_line.make_console()
-    for line in [
-        *lines,
-        f"Gazebo finds it by: export GZ_SIM_RESOURCE_PATH={shlex.quote(str(out.resolve()))}",
-    ]:
+    for line in lines:
         console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
@@ -89,7 +87,7 @@ def _describe_world(out: Path, scene: WrittenScene, simulation: VectorSimulation
     if world.grass is not None:
         yield "left out: tall grass, through which beams pass"
     region = ",".join(f"{side:g}" for side in world.region)
-    words = ["+world=sdf", f"world.path={out / WORLD}", f"world.spacing_m={world.terrain.spacing_m:g}"]
+    words = ["+world=sdf", f"world.path={out / WORLD}", f"world.spacing_m={world.terrain.spacing_m:.9g}"]
     words += [f"world.region=[{region}]"]
     if world.surfaces is not None:
         words += [f"world.surface_map={out / SURFACES}"]
