@@ -84,6 +84,21 @@ class ViewConf(EnvConf):
         return self
 
 
+class GazeboConf(EnvConf):
+    """The export of a scene for Gazebo: its world, `duration_s` of its actors' motion, and its robots."""
+
+    seed: int = Field(0, ge=0)
+    duration_s: float = Field(60.0, gt=0.0, le=3_600.0)
+    out: str | None = Field(None, min_length=1)
+    overwrite: bool = False
+
+    @model_validator(mode="after")
+    def _somewhere(self) -> Self:
+        if self.out is None:
+            raise ValueError("out is missing; name the folder to write: out=FOLDER")
+        return self
+
+
 class ForecastConf(EnvConf):
     """The learning of a motion forecast from `episodes` that `policy` drives."""
 
