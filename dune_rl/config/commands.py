@@ -43,7 +43,7 @@ _BUILT_IN_POLICIES = get_args(BuiltInPolicy)
 
 
 class ViewConf(EnvConf):
-    """A look at an environment: pictures and a video, seen from behind `agent` (None: the first)."""
+    """A look at an environment: pictures and a film of `agent` (None: the first)."""
 
     view: Literal["sheet", "video", "both", "orbit", "map"] = "both"
     checkpoint: str | None = None
