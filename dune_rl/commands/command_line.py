@@ -47,7 +47,7 @@ _AGAIN_S = 0.05
 
 
 # Commands whose settings Hydra composes.
-_COMPOSED = ("train", "evaluate", "forecast", "view", "benchmark")
+_COMPOSED = ("train", "evaluate", "forecast", "ros", "view", "benchmark")
 
 
 class ReportedError(DuneError):

@@ -256,6 +256,30 @@ PAGES: Mapping[str, HelpPage] = {
         ),
         "No display and no GPU are needed: the processor renders the pictures.",
     ),
+    "ros": HelpPage(
+        "Run a scene on live topics of ROS 2, without ROS: sensors go out, /cmd_vel and goals come in.",
+        (
+            ("python -m dune_rl.ros +world=inspection", "in real time, for programs on this machine"),
+            ("python -m dune_rl.ros checkpoint=runs/NAME speed=5", "with the sensors of a run, faster"),
+            ("python -m dune_rl.ros +world=flat network=any domain=7", "for other machines, too"),
+        ),
+        (
+            ("checkpoint=PATH", "a run's folder, or a file of weights, whose settings are used"),
+            ("seed=N episode=N", "of the first episode"),
+            ("speed=F", "of the clock, in multiples of real time; 0: as fast as it goes"),
+            ("on_end=NAME", "when an episode is over: stay, or reset to the next start"),
+            ("command_timeout_s=S", "age of the last command at which a robot stops"),
+            ("stamped=true", "/cmd_vel is a TwistStamped"),
+            ("duration_s=S", "ends after that time of the simulation"),
+            ("domain=N", "of DDS; else ROS_DOMAIN_ID, or 0"),
+            ("network=NAME", "localhost, any, or an interface's name or address"),
+            ("peers=[HOST,...]", "machines that are found without multicast"),
+        ),
+        (
+            "docs/how_to/ros.md has the topics, and how to let a machine with ROS 2 in. A message on\n"
+            "/reset (std_msgs/Empty) begins the next episode. Needs pip install 'dune_rl[ros]'."
+        ),
+    ),
     "trajectory": HelpPage(
         "Plan the trajectory of an actor through way-points on a world's ground, and write it to a file.",
         (

@@ -8,6 +8,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, field_validator, mo
 from dune_rl.config.schema import EnvConf
 from dune_rl.core.suggestions import closest
 from dune_rl.env.randomisation import RandomisationConf
+from dune_rl.ros.settings import LiveConf, NetworkConf
 
 
 def _one_or_several(names: object) -> object:
@@ -82,6 +83,14 @@ class ViewConf(EnvConf):
                 "policy=NAME drives it; without one it shows examples of starts and goals: leave episode out"
             )
         return self
+
+
+class RosConf(EnvConf, NetworkConf, LiveConf):
+    """A scene on live topics of ROS 2; a `checkpoint` brings the settings of its run."""
+
+    checkpoint: str | None = None
+    seed: int = Field(0, ge=0)
+    episode: int = Field(0, ge=0)
 
 
 class ForecastConf(EnvConf):

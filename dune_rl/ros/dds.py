@@ -1,93 +1,21 @@
 """Topics of ROS 2 over DDS, by Eclipse Cyclone DDS and without ROS."""
 
-import os
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 from weakref import WeakValueDictionary
-from xml.sax.saxutils import quoteattr
-
-from pydantic import Field, field_validator
 
 from dune_rl.core.errors import ConfigError
-from dune_rl.core.settings import Settings
-from dune_rl.ros.dds_types import (
-    dds_topic,
-    message_struct,
-    require_cyclonedds,
-    ros_topic,
-    ros_type,
-)
-from dune_rl.ros.library import MessageTypes, full_name, message_types, require_rosbags
+from dune_rl.ros.dds_types import dds_topic, message_struct, require_cyclonedds, ros_topic, ros_type
+from dune_rl.ros.library import MessageTypes, message_types, require_rosbags
+from dune_rl.ros.settings import MOST_PARTICIPANTS, NetworkConf
 
-LOCALHOST, ANY = "localhost", "any"
-MOST_DOMAINS = 232
-_DOMAIN_VARIABLE = "ROS_DOMAIN_ID"
-# Participants of a domain on one machine that find each other without multicast.
-_MOST_PARTICIPANTS = 32
 _NS = 1_000_000_000
 # A writer waits so long for readers that are behind; then the message is left out.
 _WAIT_NS = 100_000_000
 # Messages of a topic that are kept, as by default in ROS 2, and of one that is read: more than arrive between
 # two looks.
 _KEPT, _READ = 10, 100
-_HOST = re.compile(r"[A-Za-z0-9_.:%-]+")
-
-
-class NetworkConf(Settings):
-    """With whom topics are shared.
-
-    `domain` is that of DDS; None: ROS_DOMAIN_ID, or 0. `network` is `localhost`, `any` (the machine's own
-    network) or the name or address of an interface. `peers` are machines to be found without multicast.
-    """
-
-    domain: int | None = Field(None, ge=0, le=MOST_DOMAINS)
-    network: str = LOCALHOST
-    peers: tuple[str, ...] = ()
-
-    @field_validator("network", "peers")
-    @classmethod
-    def _are_hosts(cls, value: Any) -> Any:
-        for name in (value,) if isinstance(value, str) else value:
-            if not _HOST.fullmatch(name):
-                raise ValueError(f"names and addresses have letters, digits, dots and colons (got {name!r})")
-        return value
-
-    @property
-    def domain_id(self) -> int:
-        """The number of the domain; raises ConfigError where ROS_DOMAIN_ID is none."""
-        if self.domain is not None:
-            return self.domain
-        text = os.environ.get(_DOMAIN_VARIABLE, "").strip() or "0"
-        if not text.isdecimal() or int(text) > MOST_DOMAINS:
-            raise ConfigError(f"{_DOMAIN_VARIABLE}={text} must be a whole number from 0 to {MOST_DOMAINS}")
-        return int(text)
-
-    @property
-    def where(self) -> str:
-        """The domain and the network in words."""
-        return f"domain {self.domain_id} on {'this network' if self.network == ANY else self.network}"
-
-    def xml(self) -> str:
-        """The configuration of Cyclone DDS."""
-        interface, multicast, peers = "", "default", list(self.peers)
-        if self.network == LOCALHOST:
-            interface, multicast = '<NetworkInterface address="127.0.0.1"/>', "false"
-            peers.insert(0, LOCALHOST)
-        elif self.network != ANY:
-            key = "name" if re.match(r"[A-Za-z]", self.network) and ":" not in self.network else "address"
-            interface = f"<NetworkInterface {key}={quoteattr(self.network)}/>"
-        general = f"<Interfaces>{interface}</Interfaces>" if interface else ""
-        known = "".join(f"<Peer Address={quoteattr(peer)}/>" for peer in peers)
-        return (
-            f"<CycloneDDS><Domain><General>{general}<AllowMulticast>{multicast}</AllowMulticast></General>"
-            "<Discovery><ParticipantIndex>auto</ParticipantIndex>"
-            f"<MaxAutoParticipantIndex>{_MOST_PARTICIPANTS}</MaxAutoParticipantIndex>"
-            f"{f'<Peers>{known}</Peers>' if known else ''}</Discovery>"
-            # Errors are reported by exceptions.
-            "<Tracing><Verbosity>none</Verbosity></Tracing></Domain></CycloneDDS>"
-        )
 
 
 @dataclass(frozen=True)
@@ -146,7 +74,7 @@ class Participant:
             self._participant = DomainParticipant(number)
         except DDSException as error:
             raise ConfigError(
-                f"{conf.where} cannot be used ({error.msg or error}): there may be {_MOST_PARTICIPANTS} "
+                f"{conf.where} cannot be used ({error.msg or error}): there may be {MOST_PARTICIPANTS} "
                 "programs in it already, or no such network; set domain=N or network=INTERFACE"
             ) from None
         self._waiting = WaitSet(self._participant)
@@ -296,10 +224,3 @@ def _open_domain(number: int, conf: NetworkConf) -> Any:
         raise ConfigError(f"domain {number} is in use in this process with another network; set domain=N")
     return domain
 
-
-def single_type(offers: Mapping[str, list[Offer]]) -> dict[str, Offer]:
-    """The offer of each topic; of one with several types, the first by name."""
-    return {topic: found[0] for topic, found in offers.items()}
-
-
-__all__ = ["ANY", "LOCALHOST", "NetworkConf", "Offer", "Participant", "Received", "Subscription", "full_name"]
