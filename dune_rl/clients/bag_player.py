@@ -58,8 +58,9 @@ def actions_from_bag(
     policy = load_driven_policy(checkpoint, onnx, robot)
     readings = BagReadings(Path(bag), policy.sources(), topics or {}, robot=robot, base=base)
     told_s = readings.told.get("decision_s")
-    is_told = isinstance(told_s, int | float) and told_s > 0.0
-    period = period_s or (float(told_s) if is_told else policy.interface.decision_s)
+    if not (isinstance(told_s, int | float) and told_s > 0.0):
+        told_s = policy.interface.decision_s
+    period = period_s or float(told_s)
     found = [
         (time_ns, policy.act(observation, not number))
         for number, (time_ns, observation) in enumerate(readings.decisions(period))

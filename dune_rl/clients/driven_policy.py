@@ -1,4 +1,4 @@
-"""A trained policy of a checkpoint or an ONNX file that drives one robot, and where its readings come from."""
+"""A trained policy that drives one robot, out of a checkpoint or an ONNX file, and what it reads."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

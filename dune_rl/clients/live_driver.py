@@ -125,17 +125,21 @@ class LiveDriver:
     def run(self) -> DriveSummary:
         """Drive until the goal (with `once`) or `duration_s`, or until interrupted; the robot stands then."""
         self._began_s = time.monotonic()
-        due_ns = 0
+        due_ns: int | None = None
         try:
             while not self._is_over():
                 self._readings.poll(_POLL_S)
                 now_ns = self._readings.now_ns
                 if self._decided_ns is not None and now_ns < self._decided_ns:
                     # The clock has begun anew.
-                    due_ns, self._decided_ns, self._begins = 0, None, True
-                if now_ns < due_ns and not self._readings.clock_stands:
+                    due_ns, self._decided_ns, self._begins = None, None, True
+                if due_ns is not None and now_ns < due_ns and not self._readings.clock_stands:
+                    self._watch()
                     continue
-                due_ns = max(due_ns + self._period_ns, now_ns)
+                # A decision that is late by a period begins the count anew.
+                if due_ns is None or due_ns + self._period_ns <= now_ns:
+                    due_ns = now_ns
+                due_ns += self._period_ns
                 self._decide(now_ns)
         finally:
             self._stop()
@@ -149,6 +153,11 @@ class LiveDriver:
         if most_s is not None and time.monotonic() - self._began_s > most_s:
             return True
         return self._conf.once and self.summary.goals > 0
+
+    def _watch(self) -> None:
+        """Stop between two decisions, too, where a topic has stopped."""
+        if self.summary.decisions and not self._fault and (fault := self._readings.fault()):
+            self._stop_for(fault)
 
     def _decide(self, now_ns: int) -> None:
         """Act once, or stop and say why."""

@@ -50,8 +50,16 @@ class Subscription:
         ]
 
 
-# By number, with the configuration.
-_DOMAINS: WeakValueDictionary[int, Any] = WeakValueDictionary()
+class _OpenDomain:
+    """A domain with its configuration, which the participants of a process share."""
+
+    def __init__(self, number: int, xml: str) -> None:
+        from cyclonedds.domain import Domain
+
+        self.xml, self._domain = xml, Domain(number, xml)
+
+
+_DOMAINS: WeakValueDictionary[int, _OpenDomain] = WeakValueDictionary()
 
 
 class Participant:
@@ -64,14 +72,20 @@ class Participant:
         require_cyclonedds()
         require_rosbags("live topics")
         from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
-        from cyclonedds.core import DDSException, InstanceState, ReadCondition, SampleState, ViewState, WaitSet
+        from cyclonedds.core import (
+            DDSException,
+            InstanceState,
+            ReadCondition,
+            SampleState,
+            ViewState,
+            WaitSet,
+        )
         from cyclonedds.domain import DomainParticipant
 
         self.types: MessageTypes = message_types()
-        number = conf.domain_id
         try:
-            self._domain = _open_domain(number, conf)
-            self._participant = DomainParticipant(number)
+            self._domain = _open_domain(conf)
+            self._participant = DomainParticipant(conf.domain_id)
         except DDSException as error:
             raise ConfigError(
                 f"{conf.where} cannot be used ({error.msg or error}): there may be {MOST_PARTICIPANTS} "
@@ -210,17 +224,11 @@ class Participant:
         return Qos(*policies)
 
 
-def _open_domain(number: int, conf: NetworkConf) -> Any:
-    """The domain with its configuration, which all participants of a process share."""
-    from cyclonedds.domain import Domain
-
-    xml = conf.xml()
+def _open_domain(conf: NetworkConf) -> _OpenDomain:
+    number, xml = conf.domain_id, conf.xml()
     domain = _DOMAINS.get(number)
     if domain is None:
-        domain = Domain(number, xml)
-        domain.xml = xml
-        _DOMAINS[number] = domain
+        domain = _DOMAINS[number] = _OpenDomain(number, xml)
     elif domain.xml != xml:
         raise ConfigError(f"domain {number} is in use in this process with another network; set domain=N")
     return domain
-

@@ -52,7 +52,7 @@ def message_struct(name: str) -> Any:
     from cyclonedds.idl import make_idl_struct
 
     fields = {field: _field_type(kind) for field, kind in message_types().store.get_msgdef(name).fields}
-    made = make_idl_struct(
+    made: Any = make_idl_struct(
         name.rpartition("/")[2], dds_type(name), fields, dataclassify=False, bases=(_sample_base(),)
     )
     made.message_type = name
@@ -84,9 +84,10 @@ def _sample_base() -> Any:
 
 def _field_type(description: Any) -> Any:
     """The type in Cyclone DDS of a field, which `rosbags` describes by its kind and what is in it."""
-    from cyclonedds.idl import types
+    from cyclonedds.idl import types as idl_types
     from rosbags.interfaces import Nodetype
 
+    types: Any = idl_types
     kind, inner = description
     match kind:
         case Nodetype.NAME:

@@ -118,13 +118,16 @@ class LiveReadings:
             if topic != TF_STATIC and not self._is_event(topic):
                 self.newest_sent_ns = max(self.newest_sent_ns, sent_ns)
             self._readings.take(topic, message, _stamp_of(message) or now_ns)
+        if any(topic == _CLOCK for _, topic, _ in found):
+            # Now: the first messages take a while.
+            self._ticked_s = time.monotonic()
 
     def _tick(self, time_ns: int) -> None:
         if time_ns < self._clock_ns:
             # A simulation has begun anew.
             self._arrived_ns.clear()
             self._readings.forget()
-        self._clock_ns, self._ticked_s = time_ns, time.monotonic()
+        self._clock_ns = time_ns
 
     def _is_event(self, topic: str) -> bool:
         """Whether a topic has a message when something happens, such as a goal, and not all the time."""
@@ -157,8 +160,8 @@ class LiveReadings:
         side = "behind" if stamp < now_ns else "ahead of"
         whose = _CLOCK if self._has_clock else "this machine's clock"
         return (
-            f"{topic}: stamps are {abs(now_ns - stamp) / _NS:.2f} s {side} {whose}; synchronise the clocks, or "
-            "set max_age_s=S"
+            f"{topic}: stamps are {abs(now_ns - stamp) / _NS:.2f} s {side} {whose}; synchronise the clocks, "
+            "or set max_age_s=S"
         )
 
     def _hint(self, topic: str) -> str:

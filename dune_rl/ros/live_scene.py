@@ -1,4 +1,4 @@
-"""A scene on live topics: what its robots sense goes out, commands and goals come in, at the pace of a clock."""
+"""A scene on live topics: what its robots sense goes out, commands and goals come in."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -121,12 +121,12 @@ class LiveScene:
             for index, name in enumerate(group.names)
         ]
         self._tasks = {
-            group.name: Task(conf, group.num_rows)
+            group.name: Task(task, group.num_rows)
             for group in simulation.external
-            if (conf := tasks.get(group.name)) is not None
+            if (task := tasks.get(group.name)) is not None
         }
-        for name, task in self._tasks.items():
-            if task.needs_scan:
+        for name, judge in self._tasks.items():
+            if judge.needs_scan:
                 simulation.group(name).start_scans()
         self._resets: Subscription = participant.subscribe(_RESET, _EMPTY)
         self._wants_reset = False

@@ -234,11 +234,8 @@ class RobotReadings:
         for mount in mounts:
             position, rotation = position + rotation @ mount.position, rotation @ mount.rotation
         topic, turned = self.topics[part], rotation.T @ pose[1]
-        if self._types[topic] == SCAN:
-            # Bearings are turned back; what is left is the tilt.
-            cosine = turned[2, 2]
-        else:
-            cosine = (np.trace(turned) - 1.0) / 2.0
+        # The bearings of scans are turned back; what is left is the tilt.
+        cosine = turned[2, 2] if self._types[topic] == SCAN else (np.trace(turned) - 1.0) / 2.0
         angle = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
         if np.linalg.norm(pose[0] - position) > _MOST_OFFSET_M:
             sensor = mounts[0].name.removesuffix("_link")

@@ -83,9 +83,7 @@ class SceneRecording:
 
     def write_clock(self, time_ns: int) -> None:
         types = self._sink.types
-        self._sink.write(
-            "/clock", types.make("rosgraph_msgs/Clock", clock=types.time(time_ns)), time_ns
-        )
+        self._sink.write("/clock", types.make("rosgraph_msgs/Clock", clock=types.time(time_ns)), time_ns)
 
     def write_state(self, state: State, time_ns: int, sensed: Sensed) -> None:
         """Write what the agents see and are after a control step, or at the start."""

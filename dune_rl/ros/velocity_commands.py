@@ -39,9 +39,7 @@ class VelocityCommands:
     `report` is called with what a user should know; `who` names the topic.
     """
 
-    def __init__(
-        self, vehicle: Unicycle, timeout_s: float, who: str, report: Callable[[str], None]
-    ) -> None:
+    def __init__(self, vehicle: Unicycle, timeout_s: float, who: str, report: Callable[[str], None]) -> None:
         self._vehicle, self._timeout_ns = vehicle, round(timeout_s * _NS)
         self._who, self._timeout_s, self._report = who, timeout_s, report
         self._rest = np.zeros(2)

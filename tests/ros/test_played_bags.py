@@ -238,7 +238,7 @@ def test_what_is_no_bag_is_named(
         error = capsys.readouterr().err
         assert sentence in error and "Traceback" not in error and error.count("\n") <= 2
     for words, sentence in (
-        ([f"bag={bag}"], "checkpoint is missing"),
+        ([f"bag={bag}"], "give one policy, checkpoint=PATH or policy=FILE.onnx"),
         (["bag"], "write key=value"),
         ([f"bag={bag}", f"checkpoint={POLICY}", "perod_s=1"], "period_s"),
         ([f"bag={bag}", f"checkpoint={POLICY}", "period_s=0"], "period_s"),
