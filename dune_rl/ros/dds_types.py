@@ -51,35 +51,22 @@ def message_struct(name: str) -> Any:
     """
     from cyclonedds.idl import make_idl_struct
 
-    fields = {field: _field_type(kind) for field, kind in message_types().store.get_msgdef(name).fields}
-    made: Any = make_idl_struct(
-        name.rpartition("/")[2], dds_type(name), fields, dataclassify=False, bases=(_sample_base(),)
-    )
-    made.message_type = name
-    return made
-
-
-@cache
-def _sample_base() -> Any:
-    from cyclonedds.idl import IdlStruct
-
     types = message_types()
+    fields = {field: _field_type(kind) for field, kind in types.store.get_msgdef(name).fields}
+    made: Any = make_idl_struct(name.rpartition("/")[2], dds_type(name), fields, dataclassify=False)
 
-    class Sample(IdlStruct):
-        # Not annotated: annotations are fields of the type.
-        message_type = ""
+    def take_message(self: Any, message: Any) -> None:
+        self.message = message
 
-        def __init__(self, message: Any) -> None:
-            self.message = message
+    def serialize(self: Any, *args: Any, **kwargs: Any) -> bytes:
+        return bytes(types.serialize(self.message))
 
-        def serialize(self, *args: Any, **kwargs: Any) -> bytes:
-            return bytes(types.serialize(self.message))
+    def deserialize(data: bytes, *args: Any, **kwargs: Any) -> Any:
+        return made(types.store.deserialize_cdr(data, name))
 
-        @classmethod
-        def deserialize(cls, data: bytes, *args: Any, **kwargs: Any) -> "Sample":
-            return cls(types.store.deserialize_cdr(data, cls.message_type))
-
-    return Sample
+    # Not by a base class, which would be part of the type that others compare with theirs.
+    made.__init__, made.serialize, made.deserialize = take_message, serialize, staticmethod(deserialize)
+    return made
 
 
 def _field_type(description: Any) -> Any:
