@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from dune_rl.clients.driven_policy import DrivenPolicy
 from dune_rl.core.errors import ConfigError
 from dune_rl.geometry.arrays import Array
 from dune_rl.ros.dds import Participant
-from dune_rl.ros.live_readings import LiveReadings
+from dune_rl.ros.live_readings import LiveReadings, StoppedWaiting
 from dune_rl.ros.settings import DrivingConf
 from dune_rl.ros.velocity_commands import TWIST, TWIST_STAMPED, twist_of_action
 from dune_rl.sensors.own_motion import GoalConf
@@ -76,7 +77,7 @@ class LiveDriver:
 
     `period_s` is that of its decisions, by default that of its training. While something is missing, too old
     or does not fit, the robot is told to stand still, and why is reported; it goes on when that is over.
-    Raises ConfigError for a policy that commands no speed and heading, and for topics that do not fit.
+    Raises ConfigError for a policy that commands no speed and heading.
     """
 
     def __init__(
@@ -116,18 +117,32 @@ class LiveDriver:
         self.summary = DriveSummary()
         if not conf.dry_run:
             participant.advertise(self._topic, TWIST_STAMPED if conf.stamped else TWIST)
-        self._readings = LiveReadings(
-            participant, policy.sources(), topics or {}, conf, origin=origin, robot=robot, base=base
+        self._find_readings = partial(
+            LiveReadings,
+            participant,
+            policy.sources(),
+            topics or {},
+            conf,
+            origin=origin,
+            robot=robot,
+            base=base,
         )
         self._fault, self._is_at_goal, self._begins = "", False, True
         self._decided_ns: int | None = None
 
-    def run(self) -> DriveSummary:
-        """Drive until the goal (with `once`) or `duration_s`, or until interrupted; the robot stands then."""
+    def run(self, is_stopped: Callable[[], bool] = lambda: False) -> DriveSummary:
+        """Drive until the goal (with `once`), for `duration_s`, or until it `is_stopped`; the robot stands then.
+
+        First it waits for the topics; raises ConfigError where one is missing, or never fits.
+        """
+        try:
+            self._readings = self._find_readings(is_stopped=is_stopped)
+        except StoppedWaiting:
+            return self.summary
         self._began_s = time.monotonic()
         due_ns: int | None = None
         try:
-            while not self._is_over():
+            while not (is_stopped() or self._is_over()):
                 self._readings.poll(_POLL_S)
                 now_ns = self._readings.now_ns
                 if self._decided_ns is not None and now_ns < self._decided_ns:
@@ -142,7 +157,7 @@ class LiveDriver:
                 due_ns += self._period_ns
                 self._decide(now_ns)
         finally:
-            self._stop()
+            self._stand()
             if not self._conf.dry_run:
                 self._participant.flush(_FLUSH_S)
             self.summary.took_s = time.monotonic() - self._began_s
@@ -185,7 +200,7 @@ class LiveDriver:
         passed_ns = self._period_ns if self._decided_ns is None else now_ns - self._decided_ns
         self._decided_ns = now_ns
         if self._reaches_goal(observation):
-            self._stop()
+            self._stand()
             return
         assert action is not None
         self._begins = False
@@ -193,7 +208,7 @@ class LiveDriver:
         self.summary.latencies_s.append((time.time_ns() - self._readings.newest_sent_ns) / _NS)
 
     def _stop_for(self, fault: str) -> None:
-        self._stop()
+        self._stand()
         if not self.summary.decisions:
             # What has never worked will hardly do so later.
             if time.monotonic() - self._began_s > self._conf.wait_s:
@@ -226,7 +241,7 @@ class LiveDriver:
         else:
             self._write(speed, turn)
 
-    def _stop(self) -> None:
+    def _stand(self) -> None:
         """Tell the robot to stand still."""
         self._limits.stop()
         if not self._conf.dry_run:

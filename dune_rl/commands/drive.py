@@ -79,6 +79,7 @@ def _drive(conf: DriveConf) -> None:
     # Only now, since loading PyTorch takes seconds.
     from dune_rl.clients.driven_policy import load_driven_policy
     from dune_rl.clients.live_driver import LiveDriver
+    from dune_rl.learning.process import stop_on_signals
     from dune_rl.ros.dds import Participant
 
     console = command_line.make_console()
@@ -100,10 +101,11 @@ def _drive(conf: DriveConf) -> None:
             base=conf.base,
             period_s=conf.period_s,
         )
-        try:
-            driver.run()
-        finally:
-            report(str(driver.summary))
+        # Exceptions of signals would be lost in the code in C that calls Python for each message.
+        with stop_on_signals() as stop:
+            report(str(driver.run(stop)))
+        if stop.signal is not None:
+            sys.exit(128 + stop.signal)
     finally:
         participant.close()
 

@@ -1,5 +1,6 @@
 """`python -m dune_rl.ros`: a scene on live topics of ROS 2, without ROS."""
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -25,6 +26,7 @@ def run(words: Sequence[str]) -> None:
     require_rosbags("live topics")
     # Only now, since loading the physics engine takes seconds.
     from dune_rl.config.build import make_simulation
+    from dune_rl.learning.process import stop_on_signals
     from dune_rl.ros.dds import Participant
     from dune_rl.ros.live_scene import LiveScene
 
@@ -42,10 +44,11 @@ def run(words: Sequence[str]) -> None:
         command_line.print_world_notes(console, conf)
         scene = LiveScene(simulation, tasks, participant, conf, report)
         report(f"Topics in {conf.where}; Ctrl-C ends")
-        try:
-            scene.run()
-        finally:
-            report(str(scene.summary()))
+        # Exceptions of signals would be lost in the code in C that calls Python for each message.
+        with stop_on_signals() as stop:
+            report(str(scene.run(stop)))
+        if stop.signal is not None:
+            sys.exit(128 + stop.signal)
     finally:
         if simulation is not None:
             simulation.close()

@@ -214,6 +214,8 @@ class Participant:
             Policy.Reliability.Reliable(_WAIT_NS) if reliable else Policy.Reliability.BestEffort,
             Policy.Durability.TransientLocal if latched else Policy.Durability.Volatile,
             Policy.History.KeepLast(1 if latched and not ignores_own else depth),
+            # A publisher that leaves takes no messages with it.
+            Policy.WriterDataLifecycle(autodispose=False),
             # CDR of the first version, the encoding of ROS 2.
             Policy.DataRepresentation(use_cdrv0_representation=True),
             # Where later releases of ROS 2 look for the version of the type.

@@ -64,8 +64,12 @@ def message_struct(name: str) -> Any:
     def deserialize(data: bytes, *args: Any, **kwargs: Any) -> Any:
         return made(types.store.deserialize_cdr(data, name))
 
+    def deserialize_key(*args: Any, **kwargs: Any) -> None:
+        """Of a publisher that leaves; topics of ROS 2 have no keys."""
+
     # Not by a base class, which would be part of the type that others compare with theirs.
-    made.__init__, made.serialize, made.deserialize = take_message, serialize, staticmethod(deserialize)
+    made.__init__, made.serialize = take_message, serialize
+    made.deserialize, made.deserialize_key = staticmethod(deserialize), staticmethod(deserialize_key)
     return made
 
 

@@ -1,7 +1,7 @@
 """Readings of a robot out of live topics, and why they cannot be acted upon."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from dune_rl.core.errors import ConfigError
@@ -20,11 +20,16 @@ _LOOK_S = 0.3
 _LEAST_TICK_S = 1.0
 
 
+class StoppedWaiting(Exception):
+    """The wait for topics was stopped."""
+
+
 class LiveReadings:
     """The readings `parts` of one robot on the topics of `participant`; see `RobotReadings` for the others.
 
     Their time is that of /clock, where it is published and `conf.sim_time` is not false, and else this
-    machine's. Raises ConfigError where a topic is missing after `conf.wait_s`, or does not fit.
+    machine's. Raises ConfigError where a topic is missing after `conf.wait_s`, or does not fit, and
+    StoppedWaiting where it `is_stopped` before.
     """
 
     def __init__(
@@ -35,6 +40,7 @@ class LiveReadings:
         conf: DrivingConf,
         *,
         origin: str,
+        is_stopped: Callable[[], bool],
         robot: str | None = None,
         base: str | None = None,
     ) -> None:
@@ -42,7 +48,7 @@ class LiveReadings:
         self._make = lambda types: RobotReadings(
             parts, types, topics, origin=origin, remedy="start what publishes one", robot=robot, base=base
         )
-        offers = self._find_topics()
+        offers = self._find_topics(is_stopped)
         self._subscriptions: dict[str, Subscription] = {}
         for topic in {*self._readings.topics.values()}:
             self._subscribe(topic, self._readings.type_of(topic), offers)
@@ -58,11 +64,13 @@ class LiveReadings:
         self._arrived_ns: dict[str, int] = {}
         self.newest_sent_ns = 0
 
-    def _find_topics(self) -> Mapping[str, list[Offer]]:
+    def _find_topics(self, is_stopped: Callable[[], bool]) -> Mapping[str, list[Offer]]:
         """Choose the topics, when there are all of them; returns what is offered."""
         until_s, before = time.monotonic() + self._conf.wait_s, None
         while True:
             time.sleep(min(_LOOK_S, self._conf.wait_s))
+            if is_stopped():
+                raise StoppedWaiting
             offers = self._participant.offers()
             is_late = time.monotonic() >= until_s
             try:

@@ -129,29 +129,20 @@ class LiveScene:
             if judge.needs_scan:
                 simulation.group(name).start_scans()
         self._resets: Subscription = participant.subscribe(_RESET, _EMPTY)
-        self._wants_reset = self._is_stopped = False
-        self._began_s = time.monotonic()
+        self._wants_reset = False
         self._step_s = simulation.physics.control_step_s
         self._steps = self._episodes = 0
         self._unread: set[tuple[str, str]] = set()
 
-    def run(self) -> LiveSummary:
-        """Run until `duration_s` of the simulation are over, or `stop` is called; see also `summary`."""
+    def run(self, is_stopped: Callable[[], bool] = lambda: False) -> LiveSummary:
+        """Run until `duration_s` of the simulation are over, or it `is_stopped`."""
         self._began_s = self._checked_s = time.monotonic()
         self._due_s = self._began_s
         self._begin()
         most = self._conf.duration_s
-        while not self._is_stopped and (most is None or self._steps * self._step_s < most):
+        while not is_stopped() and (most is None or self._steps * self._step_s < most):
             self._await_turn()
             self._step()
-        return self.summary()
-
-    def stop(self) -> None:
-        """End `run` before the next step, from another thread."""
-        self._is_stopped = True
-
-    def summary(self) -> LiveSummary:
-        """How it has run so far."""
         return LiveSummary(
             self._steps,
             self._steps * self._step_s,

@@ -129,11 +129,17 @@ def test_what_another_program_publishes_is_read(network: NetworkConf, participan
     assert found[0].message.linear.x == 0.5 and found[0].message.angular.z == 0.0
     (offer,) = participant.offers()["/cmd_vel"]
     assert offer.type == "geometry_msgs/msg/Twist" and not offer.latched
+    # A program that leaves is no message.
+    del writer, other
+    await_all(lambda: "/cmd_vel" not in participant.offers())
+    assert all(hasattr(each.message, "linear") for each in subscription.take())
 
 
 def test_every_standard_message_has_a_type() -> None:
     store = message_types().store
-    names = [name for name in store.fielddefs if name.split("/")[0] in ("sensor_msgs", "nav_msgs", "std_msgs")]
+    names = [
+        name for name in store.fielddefs if name.split("/")[0] in ("sensor_msgs", "nav_msgs", "std_msgs")
+    ]
     assert len(names) > 50
     for name in names:
         assert message_struct(name).__idl_typename__ == dds_type(name) and ros_type(dds_type(name)) == name
@@ -176,15 +182,14 @@ def test_a_domain_whose_ports_are_taken_is_named(network: NetworkConf) -> None:
 
 def test_a_policy_drives_a_scene_to_its_goal(network: NetworkConf) -> None:
     """Both in this process; see below for two."""
-    conf = compose(
-        RosConf, ["actors=none", "seed=3", "speed=8", "duration_s=60"], (), load_config(FLAT)
-    )
+    conf = compose(RosConf, ["actors=none", "seed=3", "speed=8", "duration_s=60"], (), load_config(FLAT))
     simulation = make_simulation(without_ends(conf), 1, conf.seed)
     tasks = {group.name: group.task for group in conf.external_groups}
     lines: list[str] = []
     participants = Participant(network), Participant(network)
     scene = LiveScene(simulation, tasks, participants[0], conf, lines.append)
-    running = threading.Thread(target=scene.run, daemon=True)
+    stopped = threading.Event()
+    running = threading.Thread(target=scene.run, args=(stopped.is_set,), daemon=True)
     running.start()
     said: list[str] = []
     driver = LiveDriver(
@@ -196,7 +201,7 @@ def test_a_policy_drives_a_scene_to_its_goal(network: NetworkConf) -> None:
     )
     summary = driver.run()
     await_all(lambda: any("goal reached" in line for line in lines) or not running.is_alive())
-    scene.stop()
+    stopped.set()
     running.join()
     simulation.close()
     del driver, scene
@@ -240,8 +245,8 @@ def test_an_episode_over_dds_alone(network: NetworkConf, tmp_path: Path) -> None
         seen, commands = [], []
         until_s = time.monotonic() + 4 * PATIENCE_S
         while policy.poll() is None and time.monotonic() < until_s:
-            seen += scans.take(50)
-            commands += twists.take(50)
+            seen += [each for each in scans.take(50) if each.sample_info.valid_data]
+            commands += [each for each in twists.take(50) if hasattr(each, "linear")]
             time.sleep(0.02)
         said = policy.communicate(timeout=10)[0]
         scene.send_signal(signal.SIGTERM)

@@ -71,7 +71,11 @@ class Rig:
         ):
             self.board.offer(topic, kind)
         self.topics = {"velocity": "/odom"}
-        self.goal, self.mount, self.ranges = (5.0, 0.0), np.array([0.2, 0.0, 0.3]), np.full(32, 4.0, np.float32)
+        self.goal, self.mount, self.ranges = (
+            (5.0, 0.0),
+            np.array([0.2, 0.0, 0.3]),
+            np.full(32, 4.0, np.float32),
+        )
         self.silent: set[str] = set()
         self.late_s = 0.0
 
@@ -175,7 +179,9 @@ def test_limits_hold_and_a_dry_run_commands_nothing() -> None:
     rig = Rig(max_speed_mps=0.6, max_acceleration_mps2=2.0, max_yaw_rate_radps=0.3)
     rig.run(12)
     np.testing.assert_allclose(
-        rig.commands, [(0.2, 0.3), (0.4, 0.3), (0.6, 0.3), (0.6, 0.3), (0.6, 0.3), (0.6, 0.3), (0, 0)], atol=1e-6
+        rig.commands,
+        [(0.2, 0.3), (0.4, 0.3), (0.6, 0.3), (0.6, 0.3), (0.6, 0.3), (0.6, 0.3), (0, 0)],
+        atol=1e-6,
     )
     dry = Rig(dry_run=True)
     dry.run(6)
@@ -187,7 +193,10 @@ def test_stamped_commands_have_a_header() -> None:
     rig = Rig(stamped=True)
     rig.run(5)
     message = rig.board.written["/cmd_vel"][0]
-    assert message.__msgtype__ == "geometry_msgs/msg/TwistStamped" and message.header.stamp.nanosec == SECOND // 20
+    assert (
+        message.__msgtype__ == "geometry_msgs/msg/TwistStamped"
+        and message.header.stamp.nanosec == SECOND // 20
+    )
 
 
 @pytest.mark.parametrize(
@@ -305,8 +314,14 @@ def test_another_mount_is_named() -> None:
     ("change", "said"),
     [
         (lambda rig: rig.board.offered.pop("/scan"), "no topic /scan for lidar, nor another of sensor_msgs"),
-        (lambda rig: rig.board.offer("/scan", "std_msgs/String"), "/scan is of std_msgs/msg/String, and lidar"),
-        (lambda rig: rig.topics.pop("velocity"), "no topic /velocity for velocity; set topics.velocity=TOPIC"),
+        (
+            lambda rig: rig.board.offer("/scan", "std_msgs/String"),
+            "/scan is of std_msgs/msg/String, and lidar",
+        ),
+        (
+            lambda rig: rig.topics.pop("velocity"),
+            "no topic /velocity for velocity; set topics.velocity=TOPIC",
+        ),
         (lambda rig: rig.silent.add("/scan"), "/scan: no message yet"),
         (lambda rig: rig.silent.add("/tf_static"), "its frame 'laser' has no transform to 'base_link'"),
         (lambda rig: rig.silent.add("/tf"), "its frame 'map' has no transform to 'base_link'"),

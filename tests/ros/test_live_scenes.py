@@ -19,7 +19,7 @@ from dune_rl.config.commands import RosConf
 from dune_rl.config.compose import compose
 from dune_rl.core.errors import ConfigError
 from dune_rl.ros.dds import Offer
-from dune_rl.ros.live_scene import LiveScene
+from dune_rl.ros.live_scene import LiveScene, LiveSummary
 from dune_rl.ros.velocity_commands import TWIST_STAMPED, VelocityCommands, action_of_twist, twist_of_action
 from dune_rl.state.unicycle import Unicycle
 
@@ -43,8 +43,8 @@ class Stage:
             self.lines.append,
         )
 
-    def run(self, duration_s: float, each_step: Callable[[int], None] | None = None) -> LiveScene:
-        """Run a scene from its start; `each_step` is called before each control step."""
+    def run(self, duration_s: float, each_step: Callable[[int], None] | None = None) -> LiveSummary:
+        """How a scene ran from its start; `each_step` is called before each control step."""
         scene = self._make(duration_s)
         await_turn, count = scene._await_turn, iter(range(10_000))
 
@@ -54,8 +54,7 @@ class Stage:
             await_turn()
 
         scene._await_turn = turn  # type: ignore[method-assign]
-        scene.run()
-        return scene
+        return scene.run()
 
     def twist(self, speed: float, turn: float) -> Any:
         return self.board.types.twist(np.array([speed, 0.0, 0.0]), np.array([0.0, 0.0, turn]))
@@ -122,13 +121,16 @@ def test_a_robot_follows_twists_and_stops_without_them(stage: Any) -> None:
             speeds.append(driven.truth.twist.twist)
 
     speeds: list[Any] = []
-    scene = driven.run(5.0, command)
+    summary = driven.run(5.0, command)
     assert speeds[0].linear.x == pytest.approx(0.4, abs=0.08)
     assert speeds[0].angular.z == pytest.approx(0.5, abs=0.08)
     assert abs(driven.truth.twist.twist.linear.x) < 0.05
-    assert scene.summary().commands == 60 and scene.summary().steps == 100
+    assert summary.commands == 60 and summary.steps == 100
     assert sum("no command for 0.5 s" in line for line in driven.lines) == 1
-    stamps = [message.clock.sec * 20 + message.clock.nanosec // 50_000_000 for message in driven.board.written["/clock"]]
+    stamps = [
+        message.clock.sec * 20 + message.clock.nanosec // 50_000_000
+        for message in driven.board.written["/clock"]
+    ]
     assert stamps == list(range(101))
 
 
@@ -175,9 +177,9 @@ def test_what_happens_at_an_end(stage: Any, on_end: str) -> None:
         at = ended.truth.pose.pose.position
         places.append((at.x, at.y))
 
-    scene = ended.run(2.5, look)
+    summary = ended.run(2.5, look)
     assert sum("time limit" in line for line in ended.lines) == (1 if on_end == "stay" else 2)
-    assert scene.summary().episodes == (1 if on_end == "stay" else 3)
+    assert summary.episodes == (1 if on_end == "stay" else 3)
     moved = np.hypot(*(np.array(places[45]) - places[0]))
     assert moved < 0.1 if on_end == "stay" else moved > 0.3
     # Time never goes back.
@@ -190,9 +192,11 @@ def test_a_message_begins_the_next_episode(stage: Any) -> None:
 
     def send(step: int) -> None:
         if step == 10:
-            told.board.put("/reset", told.board.types.make("std_msgs/Empty", structure_needs_at_least_one_member=0))
+            told.board.put(
+                "/reset", told.board.types.make("std_msgs/Empty", structure_needs_at_least_one_member=0)
+            )
 
-    assert told.run(1.0, send).summary().episodes == 2
+    assert told.run(1.0, send).episodes == 2
     assert [line for line in told.lines if "begins" in line] == [
         "episode 0 begins at 0.00 s",
         "episode 1 begins at 0.50 s",
