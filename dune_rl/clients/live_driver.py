@@ -11,7 +11,7 @@ from dune_rl.clients.driven_policy import DrivenPolicy
 from dune_rl.core.errors import ConfigError
 from dune_rl.geometry.arrays import Array
 from dune_rl.ros.dds import Participant
-from dune_rl.ros.live_readings import LiveReadings, StoppedWaiting
+from dune_rl.ros.live_readings import LiveReadings, StoppedWaitingError
 from dune_rl.ros.settings import DrivingConf
 from dune_rl.ros.velocity_commands import TWIST, TWIST_STAMPED, twist_of_action
 from dune_rl.sensors.own_motion import GoalConf
@@ -131,13 +131,13 @@ class LiveDriver:
         self._decided_ns: int | None = None
 
     def run(self, is_stopped: Callable[[], bool] = lambda: False) -> DriveSummary:
-        """Drive until the goal (with `once`), for `duration_s`, or until it `is_stopped`; the robot stands then.
+        """Drive until the goal (with `once`), for `duration_s`, or until it `is_stopped`; it stands then.
 
         First it waits for the topics; raises ConfigError where one is missing, or never fits.
         """
         try:
             self._readings = self._find_readings(is_stopped=is_stopped)
-        except StoppedWaiting:
+        except StoppedWaitingError:
             return self.summary
         self._began_s = time.monotonic()
         due_ns: int | None = None

@@ -20,7 +20,7 @@ _LOOK_S = 0.3
 _LEAST_TICK_S = 1.0
 
 
-class StoppedWaiting(Exception):
+class StoppedWaitingError(Exception):
     """The wait for topics was stopped."""
 
 
@@ -29,7 +29,7 @@ class LiveReadings:
 
     Their time is that of /clock, where it is published and `conf.sim_time` is not false, and else this
     machine's. Raises ConfigError where a topic is missing after `conf.wait_s`, or does not fit, and
-    StoppedWaiting where it `is_stopped` before.
+    StoppedWaitingError where it `is_stopped` before.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class LiveReadings:
         while True:
             time.sleep(min(_LOOK_S, self._conf.wait_s))
             if is_stopped():
-                raise StoppedWaiting
+                raise StoppedWaitingError
             offers = self._participant.offers()
             is_late = time.monotonic() >= until_s
             try:

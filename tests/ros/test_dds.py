@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -57,12 +58,24 @@ def participant(network: NetworkConf) -> Iterator[Participant]:
     found.close()
 
 
-def await_all(ready: Callable[[], bool], meanwhile: Callable[[], None] = lambda: None) -> None:
+def await_all(ready: Callable[[], bool]) -> None:
     until_s = time.monotonic() + PATIENCE_S
     while not ready():
         assert time.monotonic() < until_s, "waited in vain"
-        meanwhile()
         time.sleep(0.01)
+
+
+def first_of(take: Callable[[], list[Any]], write: Callable[[], None] = lambda: None) -> Any:
+    """The first message that arrives while it is written again and again."""
+    found: list[Any] = []
+
+    def arrives() -> bool:
+        write()
+        found.extend(take())
+        return bool(found)
+
+    await_all(arrives)
+    return found[0]
 
 
 def make_scan() -> Any:
@@ -82,20 +95,17 @@ def make_scan() -> Any:
     )
 
 
-def test_another_program_reads_what_is_published(network: NetworkConf, participant: Participant) -> None:
+# As RViz reads, and as sensor data are read.
+@pytest.mark.parametrize("reliability", [Policy.Reliability.Reliable(0), Policy.Reliability.BestEffort])
+def test_another_program_reads_what_is_published(
+    reliability: Any, network: NetworkConf, participant: Participant
+) -> None:
     other = DomainParticipant(network.domain_id)
-    # As in RViz, and as of sensor data.
-    for reliability in (Policy.Reliability.Reliable(0), Policy.Reliability.BestEffort):
-        reader = DataReader(other, Topic(other, "rt/scan", ros2_idl.LaserScan), Qos(reliability))
-        found: list[Any] = []
-        await_all(
-            lambda: bool(found),
-            lambda: (participant.write("/scan", make_scan(), 0), found.extend(reader.take(10)))[0],
-        )
-        scan = found[0]
-        assert (scan.header.stamp.sec, scan.header.stamp.nanosec) == (12, 345_678_901)
-        assert scan.header.frame_id == "lidar_link" and scan.range_min == 0.25
-        assert list(scan.ranges) == [1.5, np.inf, 3.25] and list(scan.intensities) == []
+    reader = DataReader(other, Topic(other, "rt/scan", ros2_idl.LaserScan), Qos(reliability))
+    scan = first_of(lambda: reader.take(10), lambda: participant.write("/scan", make_scan(), 0))
+    assert (scan.header.stamp.sec, scan.header.stamp.nanosec) == (12, 345_678_901)
+    assert scan.header.frame_id == "lidar_link" and scan.range_min == 0.25
+    assert list(scan.ranges) == [1.5, np.inf, 3.25] and list(scan.intensities) == []
 
 
 def test_latched_messages_reach_those_who_come_later(network: NetworkConf, participant: Participant) -> None:
@@ -106,33 +116,28 @@ def test_latched_messages_reach_those_who_come_later(network: NetworkConf, parti
     other = DomainParticipant(network.domain_id)
     qos = Qos(Policy.Reliability.Reliable(0), Policy.Durability.TransientLocal, Policy.History.KeepLast(1))
     reader = DataReader(other, Topic(other, "rt/tf_static", ros2_idl.TFMessage), qos)
-    found: list[Any] = []
-    await_all(lambda: bool(found), lambda: found.extend(reader.take(10)))
-    (transform,) = found[0].transforms
+    (transform,) = first_of(lambda: reader.take(10)).transforms
     assert (transform.header.frame_id, transform.child_frame_id) == ("base_link", "lidar_link")
     assert (transform.transform.translation.z, transform.transform.rotation.w) == (0.3, 1.0)
 
 
 def test_what_another_program_publishes_is_read(network: NetworkConf, participant: Participant) -> None:
-    other = DomainParticipant(network.domain_id)
-    writer = DataWriter(other, Topic(other, "rt/cmd_vel", ros2_idl.Twist))
     subscription = participant.subscribe("/cmd_vel", "geometry_msgs/msg/Twist")
-    zero = ros2_idl.Vector3(0.0, 0.0, 0.0)
-    found: list[Any] = []
-    await_all(
-        lambda: bool(found),
-        lambda: (
-            writer.write(ros2_idl.Twist(ros2_idl.Vector3(0.5, 0.0, 0.0), zero)),
-            found.extend(subscription.take()),
-        )[0],
-    )
-    assert found[0].message.linear.x == 0.5 and found[0].message.angular.z == 0.0
-    (offer,) = participant.offers()["/cmd_vel"]
-    assert offer.type == "geometry_msgs/msg/Twist" and not offer.latched
-    # A program that leaves is no message.
-    del writer, other
+    twist = ros2_idl.Twist(ros2_idl.Vector3(0.5, 0.0, 0.0), ros2_idl.Vector3(0.0, 0.0, -0.25))
+
+    def publish_and_leave() -> None:
+        other = DomainParticipant(network.domain_id)
+        writer = DataWriter(other, Topic(other, "rt/cmd_vel", ros2_idl.Twist))
+        found = first_of(subscription.take, lambda: writer.write(twist))
+        assert (found.message.linear.x, found.message.angular.z) == (0.5, -0.25) and found.sent_ns > 0
+        (offer,) = participant.offers()["/cmd_vel"]
+        assert offer.type == "geometry_msgs/msg/Twist" and not offer.latched
+        subscription.take()
+
+    publish_and_leave()
     await_all(lambda: "/cmd_vel" not in participant.offers())
-    assert all(hasattr(each.message, "linear") for each in subscription.take())
+    # That a program leaves is no message.
+    assert not subscription.take()
 
 
 def test_every_standard_message_has_a_type() -> None:
@@ -166,11 +171,9 @@ def test_a_domain_whose_ports_are_taken_is_named(network: NetworkConf) -> None:
     for index in range(34):
         for offset in (10, 11):
             each = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-            try:
+            # One that is taken by somebody else serves as well.
+            with suppress(OSError):
                 each.bind(("0.0.0.0", 7400 + 250 * network.domain_id + offset + 2 * index))
-            except OSError:
-                # Taken by somebody else, which serves as well.
-                pass
             taken.append(each)
     try:
         with pytest.raises(ConfigError, match=f"domain {network.domain_id} on localhost cannot be used"):

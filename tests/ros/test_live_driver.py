@@ -1,6 +1,7 @@
 """A policy on live topics: it acts on fresh messages that fit, and the robot stands otherwise."""
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -100,10 +101,8 @@ class Rig:
             self.turn += 1
 
         self.board.wait = wait  # type: ignore[method-assign]
-        try:
+        with suppress(KeyboardInterrupt):
             driver.run()
-        except KeyboardInterrupt:
-            pass
         return driver
 
     def _act(self, observation: Mapping[str, Any], begins: bool) -> np.ndarray:
