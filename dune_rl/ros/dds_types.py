@@ -17,7 +17,10 @@ def require_cyclonedds() -> None:
     try:
         import cyclonedds.idl  # noqa: F401
     except ImportError:
-        raise ConfigError("live topics need Cyclone DDS and rosbags: pip install 'dune_rl[ros]'") from None
+        raise ConfigError(
+            "live topics need Cyclone DDS and rosbags: pip install 'dune_rl[ros]' (on Linux on ARM also build "
+            "cyclonedds, which has no wheel there)"
+        ) from None
 
 
 def dds_topic(topic: str) -> str:
