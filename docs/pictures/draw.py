@@ -106,7 +106,7 @@ LAYERS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
         (
             ("learning", "algorithms, collectors, checkpoints"),
             ("visualization", "sheets, films, maps"),
-            ("ros", "bags of ROS 2"),
+            ("ros", "bags and topics of ROS 2"),
         ),
     ),
     (

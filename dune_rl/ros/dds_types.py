@@ -18,8 +18,8 @@ def require_cyclonedds() -> None:
         import cyclonedds.idl  # noqa: F401
     except ImportError:
         raise ConfigError(
-            "live topics need Cyclone DDS and rosbags: pip install 'dune_rl[ros]' (on Linux on ARM also build "
-            "cyclonedds, which has no wheel there)"
+            "live topics need Cyclone DDS and rosbags: pip install 'dune_rl[ros]' (Linux on ARM: build "
+            "cyclonedds as well, which has no wheel there)"
         ) from None
 
 

@@ -220,8 +220,9 @@ class LiveScene:
         self._wants_reset |= self._judge() or bool(result.done.any())
 
     def _write(self) -> None:
-        self._recording.write_clock(self._time_ns)
         self._recording.write_state(self._simulation.state, self._time_ns, self._topics.sense())
+        # Last, so that who decides when the clock ticks has the readings of that time.
+        self._recording.write_clock(self._time_ns)
 
     def _judge(self) -> bool:
         """Report collisions and ends; returns whether the episode is over and the next one is to begin."""
