@@ -86,10 +86,10 @@ class Participant:
         try:
             self._domain = _open_domain(conf)
             self._participant = DomainParticipant(conf.domain_id)
-        except DDSException as error:
+        except DDSException:
             raise ConfigError(
-                f"{conf.where} cannot be used ({error.msg or error}): there may be {MOST_PARTICIPANTS} "
-                "programs in it already, or no such network; set domain=N or network=INTERFACE"
+                f"{conf.where} cannot be used: there is no such network, or its ports are taken, by "
+                f"{MOST_PARTICIPANTS} programs in the domain or by others; set domain=N or network=INTERFACE"
             ) from None
         self._waiting = WaitSet(self._participant)
         self._publications = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)

@@ -7,7 +7,7 @@ from typing import Any
 from dune_rl.core.errors import ConfigError
 from dune_rl.ros.dds import Offer, Participant, Subscription
 from dune_rl.ros.library import full_name, stamp_ns
-from dune_rl.ros.readings import POSE, TF, TF_STATIC, ReadingSource, RobotReadings
+from dune_rl.ros.readings import POSE, TF, TF_STATIC, ReadingSource, RobotReadings, check_parts
 from dune_rl.ros.settings import DrivingConf
 from dune_rl.sensors.sensor import Reading
 
@@ -44,6 +44,7 @@ class LiveReadings:
         robot: str | None = None,
         base: str | None = None,
     ) -> None:
+        check_parts(topics, parts)
         self._participant, self._conf, self._origin = participant, conf, origin
         self._make = lambda types: RobotReadings(
             parts, types, topics, origin=origin, remedy="start what publishes one", robot=robot, base=base
@@ -78,6 +79,11 @@ class LiveReadings:
                     raise ConfigError(f"{self._origin}: there is no topic /clock; leave sim_time=true out")
                 self._readings = self._make({topic: found[0].type for topic, found in offers.items()})
             except ConfigError:
+                if is_late and not offers:
+                    raise ConfigError(
+                        f"{self._origin}: nobody publishes a topic; start the robot, or set domain=N or "
+                        "network=NAME to where it is"
+                    ) from None
                 if is_late:
                     raise
                 continue

@@ -1,6 +1,6 @@
 """Readings of a robot out of messages, of a bag or of live topics: the latest of each topic."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -46,6 +46,13 @@ class ReadingSource:
         return tuple(each for each in dict.fromkeys(found) if each is not None)
 
 
+def check_parts(named: Iterable[str], parts: Collection[str]) -> None:
+    """Raise ConfigError where a topic is named for a part that the policy does not read."""
+    for name in named:
+        if name not in parts:
+            raise ConfigError(f"topics.{name}: the policy reads no {name}, but {one_of(sorted(parts))}")
+
+
 class RobotReadings:
     """The readings `parts` of one robot, out of messages on topics whose types are `types`.
 
@@ -83,15 +90,11 @@ class RobotReadings:
 
     def _choose_topics(self, named: Mapping[str, str]) -> dict[str, str]:
         """The topic of each part; raises ConfigError for all that are missing or of another type."""
-        unknown = [name for name in named if name not in self._parts]
-        if unknown:
-            raise ConfigError(
-                f"topics.{unknown[0]}: the policy reads no {unknown[0]}, but {one_of(sorted(self._parts))}"
-            )
+        check_parts(named, self._parts)
         found, faults = {}, []
         for part, each in self._parts.items():
             sources = each.sources(part)
-            kinds = [full_name(kind) for source in sources for kind in source.types]
+            kinds = [*dict.fromkeys(full_name(kind) for source in sources for kind in source.types)]
             defaults = [f"/{self._prefix}{source.topic}" for source in sources]
             asked = [named[part]] if part in named else defaults
             there = [topic for topic in asked if topic in self._types]

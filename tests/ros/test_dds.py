@@ -158,7 +158,7 @@ def test_bad_networks_are_named(network: NetworkConf, monkeypatch: pytest.Monkey
             Participant(NetworkConf())
     with pytest.raises(ConfigError, match="network"):
         parse_words([f"checkpoint={FLAT}", "network=<x/>"])
-    with pytest.raises(ConfigError, match="no such network; set domain=N or network=INTERFACE"):
+    with pytest.raises(ConfigError, match="there is no such network, or its ports are taken"):
         Participant(NetworkConf(domain=network.domain_id, network="10.255.255.254"))
     first = Participant(network)
     with pytest.raises(ConfigError, match="in use in this process with another network"):

@@ -321,6 +321,11 @@ def test_another_mount_is_named() -> None:
             lambda rig: rig.topics.pop("velocity"),
             "no topic /velocity for velocity; set topics.velocity=TOPIC",
         ),
+        (lambda rig: rig.board.offered.clear(), "domain 0: nobody publishes a topic; start the robot"),
+        (
+            lambda rig: rig.topics.update(sonar="/x"),
+            "topics.sonar: the policy reads no sonar, but goal, lidar",
+        ),
         (lambda rig: rig.silent.add("/scan"), "/scan: no message yet"),
         (lambda rig: rig.silent.add("/tf_static"), "its frame 'laser' has no transform to 'base_link'"),
         (lambda rig: rig.silent.add("/tf"), "its frame 'map' has no transform to 'base_link'"),
