@@ -20,6 +20,7 @@ from dune_rl.learning.onnx_policy import OnnxPolicy
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.saved_policies import read_saved_policy, saved_entry
 from dune_rl.ros.codecs import ArrayCodec, SensorCodec
+from dune_rl.ros.motion import GoalCodec
 from dune_rl.ros.readings import ReadingSource
 from dune_rl.ros.sensor_topics import make_codec
 from dune_rl.sensors.lidar import LidarConf
@@ -53,6 +54,12 @@ class DrivenPolicy:
             )
             for key, part in self.interface.observation.items()
         }
+
+
+def goal_source(name: str) -> ReadingSource:
+    """Where the distance and the bearing of the goal come from, as the part `name`."""
+    codec = GoalCodec(name)
+    return ReadingSource(codec, codec)
 
 
 def load_driven_policy(

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from dune_rl.clients.driven_policy import DrivenPolicy
+from dune_rl.clients.driven_policy import DrivenPolicy, goal_source
 from dune_rl.core.errors import ConfigError
 from dune_rl.geometry.arrays import Array
 from dune_rl.ros.dds import Participant
@@ -20,6 +20,8 @@ from dune_rl.sensors.sensor import Reading
 _NS = 1_000_000_000
 # How long it waits for a message at most, and at the end until its last command has arrived [s].
 _POLL_S, _FLUSH_S = 0.05, 0.5
+
+_GOAL = "goal"
 
 Report = Callable[[str], None]
 
@@ -103,14 +105,13 @@ class LiveDriver:
         self._vehicle, self._period_ns = interface.vehicle, round((period_s or interface.decision_s) * _NS)
         self._low = np.array([each.low for each in interface.action])
         self._high = np.array([each.high for each in interface.action])
+        parts = policy.sources()
         self._goal = next(
-            (
-                name
-                for name, sensor in interface.sensors.items()
-                if isinstance(sensor, GoalConf) and name in interface.observation
-            ),
-            None,
+            (name for name in parts if isinstance(interface.sensors.get(name), GoalConf)), _GOAL
         )
+        if interface.goal_m is not None:
+            # A policy that reads other things of its goal does not know when it is there.
+            parts.setdefault(self._goal, goal_source(self._goal))
         self._topic = f"/{'' if robot is None else robot.strip('/') + '/'}cmd_vel"
         self._limits = SpeedLimits(conf)
         self._began_s = time.monotonic()
@@ -120,7 +121,7 @@ class LiveDriver:
         self._find_readings = partial(
             LiveReadings,
             participant,
-            policy.sources(),
+            parts,
             topics or {},
             conf,
             origin=origin,
@@ -182,16 +183,15 @@ class LiveDriver:
                 observation = self._readings.observation()
             except ConfigError as error:
                 fault = str(error)
-        action = None if fault else self._policy.act(observation, self._begins)
+        read = {key: value for key, value in observation.items() if key in self._policy.interface.observation}
+        action = None if fault else self._policy.act(read, self._begins)
         if action is not None and not np.isfinite(action).all():
             fault = f"the policy's action is {action.tolist()}"
         if fault:
             self._stop_for(fault)
             return
-        if self._fault:
+        if self._fault or not self.summary.decisions:
             self._report("driving again" if self.summary.decisions else "driving")
-        elif not self.summary.decisions:
-            self._report("driving")
         self._fault = ""
         if not self.summary.decisions:
             for line in self._readings.misplaced():
@@ -209,21 +209,20 @@ class LiveDriver:
 
     def _stop_for(self, fault: str) -> None:
         self._stand()
-        if not self.summary.decisions:
-            # What has never worked will hardly do so later.
-            if time.monotonic() - self._began_s > self._conf.wait_s:
-                raise ConfigError(fault)
-            return
+        has_driven = self.summary.decisions > 0
+        # What has never worked will hardly do so later.
+        if not has_driven and time.monotonic() - self._began_s > self._conf.wait_s:
+            raise ConfigError(fault)
         topic = fault.partition(":")[0]
         if topic != self._fault.partition(":")[0]:
-            self.summary.stops += not self._fault
-            self._report(f"stopped: {fault}")
+            self.summary.stops += has_driven and not self._fault
+            self._report(f"{'stopped' if has_driven else 'waiting'}: {fault}")
         self._fault = fault
 
     def _reaches_goal(self, observation: Mapping[str, Reading]) -> bool:
         """Whether the goal is near; reports when it has come near."""
         goal_m = self._policy.interface.goal_m
-        if self._goal is None or goal_m is None:
+        if goal_m is None:
             return False
         distance_m = float(observation[self._goal][0])
         was_there, self._is_at_goal = self._is_at_goal, distance_m < goal_m

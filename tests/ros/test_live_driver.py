@@ -286,6 +286,17 @@ def test_the_robot_stands_at_the_goal_and_goes_to_the_next() -> None:
     assert once.run(50).summary.decisions == 1 and once.turn < 50
 
 
+def test_a_policy_without_the_distance_stops_at_the_goal_too() -> None:
+    parts = {name: part for name, part in INTERFACE.observation.items() if name != "goal"}
+    sensors = {name: conf for name, conf in INTERFACE.sensors.items() if name != "goal"}
+    rig = Rig(once=True)
+    rig.goal = (1.5, 0.0)
+    summary = rig.run(
+        50, interface=INTERFACE.model_copy(update={"observation": parts, "sensors": sensors})
+    ).summary
+    assert (summary.decisions, summary.goals) == (1, 1) and rig.seen[0].keys() == {"lidar", "velocity"}
+
+
 def test_a_simulation_that_begins_anew_is_followed() -> None:
     rig = Rig()
     restarted = iter([True])
@@ -324,7 +335,7 @@ def test_another_mount_is_named() -> None:
         (lambda rig: rig.board.offered.clear(), "domain 0: nobody publishes a topic; start the robot"),
         (
             lambda rig: rig.topics.update(sonar="/x"),
-            "topics.sonar: the policy reads no sonar, but goal, lidar",
+            "topics.sonar: the policy reads no sonar, but goal",
         ),
         (lambda rig: rig.silent.add("/scan"), "/scan: no message yet"),
         (lambda rig: rig.silent.add("/tf_static"), "its frame 'laser' has no transform to 'base_link'"),
