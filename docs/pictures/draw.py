@@ -106,7 +106,7 @@ LAYERS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
         (
             ("learning", "algorithms, checkpoints"),
             ("visualization", "sheets, films, maps"),
-            ("ros", "bags of ROS 2"),
+            ("ros", "bags, topics of ROS 2"),
             ("gazebo", "files for Gazebo"),
         ),
     ),

@@ -49,7 +49,7 @@ _AGAIN_S = 0.05
 
 
 # Commands whose settings Hydra composes.
-_COMPOSED = ("train", "evaluate", "forecast", "view", "export", "benchmark")
+_COMPOSED = ("train", "evaluate", "forecast", "ros", "view", "export", "benchmark")
 
 
 class ReportedError(DuneError):

@@ -1,34 +1,51 @@
-"""`python -m dune_rl.drive`: play a bag into a policy, and print or write its actions."""
+"""`python -m dune_rl.drive`: a policy drives a robot over live topics, or a bag is played into it."""
 
 import csv
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
+from dune_rl.commands import command_line
 from dune_rl.config.checks import validate
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.files import write_csv
-from dune_rl.core.settings import Settings
+from dune_rl.ros.dds_types import require_cyclonedds
 from dune_rl.ros.library import require_rosbags
+from dune_rl.ros.settings import DrivingConf, NetworkConf
 
-_HINT = "python -m dune_rl.drive bag=FOLDER checkpoint=runs/NAME"
-_TOPICS = "topics."
+_HINT = "python -m dune_rl.drive checkpoint=runs/NAME"
+_TOPICS, _PEERS = "topics.", "peers"
+# What is of bags alone; all settings of live topics are those of the two other classes.
+_OF_BAGS = ("out", "overwrite")
 
 
-class DriveConf(Settings):
-    """Settings of `python -m dune_rl.drive`; see `actions_from_bag`."""
+class DriveConf(DrivingConf, NetworkConf):
+    """Settings of `python -m dune_rl.drive`; see `LiveDriver`, and with a `bag` `actions_from_bag`."""
 
-    bag: str = Field(min_length=1)
-    checkpoint: str = Field(min_length=1)
+    bag: str | None = Field(None, min_length=1)
+    checkpoint: str | None = Field(None, min_length=1)
+    policy: str | None = Field(None, min_length=1)
     topics: dict[str, str] = Field(default_factory=dict)
     robot: str | None = Field(None, min_length=1)
     base: str | None = Field(None, min_length=1)
     period_s: float | None = Field(None, gt=0.0, le=3600.0)
     out: str | None = Field(None, min_length=1)
     overwrite: bool = False
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        if (self.checkpoint is None) == (self.policy is None):
+            raise ValueError(f"give one policy, checkpoint=PATH or policy=FILE.onnx: {_HINT}")
+        if self.policy is not None and Path(self.policy).suffix != ".onnx":
+            raise ValueError(f"policy={self.policy} must end in .onnx; a run's is checkpoint={self.policy}")
+        live = {*DrivingConf.model_fields, *NetworkConf.model_fields}
+        for name in self.model_fields_set & (live if self.bag is not None else {*_OF_BAGS}):
+            other = "live topics: leave bag out" if self.bag is not None else "bags: give bag=FOLDER"
+            raise ValueError(f"{name} is of {other}, or {name}")
+        return self
 
 
 def parse_words(words: Sequence[str]) -> DriveConf:
@@ -40,17 +57,60 @@ def parse_words(words: Sequence[str]) -> DriveConf:
             raise ConfigError(f"cannot read {word!r}; write key=value: {_HINT}")
         if key.startswith(_TOPICS):
             values["topics"][key.removeprefix(_TOPICS)] = text
+        elif key == _PEERS:
+            values[key] = [each.strip() for each in text.strip("[]").split(",") if each.strip()]
         else:
             values[key] = text
-    missing = [f"{name} is missing: {_HINT}" for name in ("bag", "checkpoint") if name not in values]
-    if missing:
-        raise ConfigError(missing[0])
     return validate(DriveConf, values)
 
 
 def run(words: Sequence[str]) -> None:
-    """Play the bag that the command line names into the policy."""
+    """Drive on live topics, or play the bag that the command line names into the policy."""
     conf = parse_words(words)
+    if conf.bag is None:
+        _drive(conf)
+    else:
+        _play(conf, conf.bag)
+
+
+def _drive(conf: DriveConf) -> None:
+    require_cyclonedds()
+    require_rosbags("live topics")
+    # Only now, since loading PyTorch takes seconds.
+    from dune_rl.clients.driven_policy import load_driven_policy
+    from dune_rl.clients.live_driver import LiveDriver
+    from dune_rl.learning.process import stop_on_signals
+    from dune_rl.ros.dds import Participant
+
+    console = command_line.make_console()
+
+    def report(line: str) -> None:
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+    policy = load_driven_policy(conf.checkpoint, conf.policy, conf.robot)
+    participant = Participant(conf)
+    try:
+        driver = LiveDriver(
+            policy,
+            participant,
+            conf,
+            report,
+            origin=conf.where,
+            topics=conf.topics,
+            robot=conf.robot,
+            base=conf.base,
+            period_s=conf.period_s,
+        )
+        # Exceptions of signals would be lost in the code in C that calls Python for each message.
+        with stop_on_signals() as stop:
+            report(str(driver.run(stop)))
+        if stop.signal is not None:
+            sys.exit(128 + stop.signal)
+    finally:
+        participant.close()
+
+
+def _play(conf: DriveConf, bag: str) -> None:
     require_rosbags()
     out = None if conf.out is None else Path(conf.out)
     if out is not None and out.exists() and (out.is_dir() or not conf.overwrite):
@@ -59,8 +119,9 @@ def run(words: Sequence[str]) -> None:
     from dune_rl.clients.bag_player import actions_from_bag
 
     found = actions_from_bag(
-        conf.bag,
+        bag,
         conf.checkpoint,
+        onnx=conf.policy,
         topics=conf.topics,
         robot=conf.robot,
         base=conf.base,

@@ -141,32 +141,39 @@ PAGES: Mapping[str, HelpPage] = {
         ),
     ),
     "drive": HelpPage(
-        "Play a ROS 2 bag of a robot into a trained policy, and list its actions.",
+        "Let a trained policy drive a robot over live topics of ROS 2, or play a bag into it.",
         (
-            ("python -m dune_rl.drive bag=FOLDER checkpoint=runs/NAME", "print them as CSV"),
+            ("python -m dune_rl.drive checkpoint=runs/NAME", "drive by /cmd_vel, until Ctrl-C"),
+            ("python -m dune_rl.drive policy=policy.onnx dry_run=true", "print commands, and send none"),
             (
-                "python -m dune_rl.drive bag=FOLDER checkpoint=runs/NAME out=actions.csv",
-                "write them to a file",
-            ),
-            (
-                "python -m dune_rl.drive bag=FOLDER checkpoint=runs/NAME topics.lidar=/front/scan",
+                "python -m dune_rl.drive checkpoint=runs/NAME topics.lidar=/front/scan",
                 "a scan of another name",
             ),
+            ("python -m dune_rl.drive bag=FOLDER checkpoint=runs/NAME", "its actions for a bag, as CSV"),
         ),
         (
-            ("bag=FOLDER", "a rosbag2 folder (MCAP or SQLite)"),
             ("checkpoint=PATH", "a run's folder, or a file of weights"),
+            ("policy=FILE.onnx", "in its place, a file of python -m dune_rl.export"),
             (
                 "topics.READING=TOPIC",
                 "of a part of the observation, where it is not the default in docs/how_to/ros.md",
             ),
-            ("robot=NAME", "whose topics, where the bag has those of several, such as rover_0"),
+            ("robot=NAME", "whose topics, where there are those of several, such as rover_0"),
             ("base=FRAME", "frame of the robot's body; else base_link"),
             ("period_s=S", "between two actions; else that of the bag or of the policy's run"),
-            ("out=FILE.csv", "of the actions; else they are printed"),
-            ("overwrite=true", "replaces the file that is there"),
+            ("max_age_s=S", "live: age of a message or a pose at which the robot stops; 0.5"),
+            ("wait_s=S", "live: how long it waits for topics at the start; 10"),
+            ("max_speed_mps=V", "live: limit; likewise max_yaw_rate_radps and max_acceleration_mps2"),
+            ("dry_run=true", "live: prints commands, and sends none"),
+            ("once=true", "live: ends at the first goal; duration_s=S after that time"),
+            ("stamped=true", "live: /cmd_vel is a TwistStamped"),
+            ("sim_time=false", "live: this machine's time, also where there is a /clock"),
+            ("domain=N", "live: of DDS; else ROS_DOMAIN_ID, or 0"),
+            ("network=NAME", "live: localhost, any, or an interface; peers=[HOST,...] without multicast"),
+            ("bag=FOLDER", "a rosbag2 folder (MCAP or SQLite)"),
+            ("out=FILE.csv", "of a bag's actions; else they are printed; overwrite=true replaces it"),
         ),
-        "ROS is not needed, but rosbags is: pip install 'dune_rl[ros]'.",
+        "ROS is not needed; rosbags and, for live topics, Cyclone DDS are: pip install 'dune_rl[ros]'.",
         options=False,
     ),
     "forecast": HelpPage(
@@ -255,6 +262,30 @@ PAGES: Mapping[str, HelpPage] = {
             ("out=FOLDER", "folder of the files"),
         ),
         "No display and no GPU are needed: the processor renders the pictures.",
+    ),
+    "ros": HelpPage(
+        "Run a scene on live topics of ROS 2, without ROS: sensors go out, /cmd_vel and goals come in.",
+        (
+            ("python -m dune_rl.ros +world=inspection", "in real time, for programs on this machine"),
+            ("python -m dune_rl.ros checkpoint=runs/NAME speed=5", "with the sensors of a run, faster"),
+            ("python -m dune_rl.ros +world=flat network=any domain=7", "for other machines, too"),
+        ),
+        (
+            ("checkpoint=PATH", "a run's folder, or a file of weights, whose settings are used"),
+            ("seed=N episode=N", "of the first episode"),
+            ("speed=F", "of the clock, in multiples of real time; 0: as fast as it goes"),
+            ("on_end=NAME", "when an episode is over: stay, or reset to the next start"),
+            ("command_timeout_s=S", "age of the last command at which a robot stops"),
+            ("stamped=true", "/cmd_vel is a TwistStamped"),
+            ("duration_s=S", "ends after that time of the simulation"),
+            ("domain=N", "of DDS; else ROS_DOMAIN_ID, or 0"),
+            ("network=NAME", "localhost, any, or an interface's name or address"),
+            ("peers=[HOST,...]", "machines that are found without multicast"),
+        ),
+        (
+            "docs/how_to/ros.md has the topics, and how to let a machine with ROS 2 in. A message on\n"
+            "/reset (std_msgs/Empty) begins the next episode. Needs pip install 'dune_rl[ros]'."
+        ),
     ),
     "trajectory": HelpPage(
         "Plan the trajectory of an actor through way-points on a world's ground, and write it to a file.",

@@ -8,6 +8,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, field_validator, mo
 from dune_rl.config.schema import EnvConf
 from dune_rl.core.suggestions import closest
 from dune_rl.env.randomisation import RandomisationConf
+from dune_rl.ros.settings import LiveConf, NetworkConf
 
 
 def _one_or_several(names: object) -> object:
@@ -97,6 +98,14 @@ class GazeboConf(EnvConf):
         if self.out is None:
             raise ValueError("out is missing; name the folder to write: out=FOLDER")
         return self
+
+
+class RosConf(EnvConf, NetworkConf, LiveConf):
+    """A scene on live topics of ROS 2; a `checkpoint` brings the settings of its run."""
+
+    checkpoint: str | None = None
+    seed: int = Field(0, ge=0)
+    episode: int = Field(0, ge=0)
 
 
 class ForecastConf(EnvConf):

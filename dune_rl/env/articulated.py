@@ -30,6 +30,44 @@ from dune_rl.worlds.world import World
 _STATE_LIMITS = np.repeat([1e5, 1.01, 50.0, 200.0], [3, 4, 3, 3])
 
 
+def vehicle_of(robot: Robot) -> Unicycle:
+    """The model of a robot for behaviours that output a speed and a heading."""
+    described = robot.description
+    actions = described.actions
+    steering = None if described.wheels is None else described.wheels.steering
+    return Unicycle(
+        float(np.float32(actions.low[0])),
+        float(np.float32(actions.high[0])),
+        described.max_yaw_rate_radps,
+        described.heading_gain_per_s,
+        described.length_m,
+        described.width_m,
+        described.footprint_radius_m,
+        0.0 if steering is None else 1.0 / min(steering.max_curvatures()),
+    )
+
+
+def carrier_of(robot: Robot) -> SensorCarrier:
+    """A robot as a carrier of sensors."""
+    described = robot.description
+    mounts, wheels = described.mounts, described.wheels
+    drive: WheelMotion | None = None
+    num_joints = len(robot.body.drive_joints)
+    if wheels is not None:
+        geometry = DriveGeometry(wheels.radius_m, wheels.track_m, wheels.left, wheels.right)
+        drive, num_joints = wheels.steering or geometry, wheels.num_driven
+    return SensorCarrier(
+        scanner_b=mounts.scanner_b,
+        camera_b=mounts.camera_b,
+        imu_b=mounts.imu_b,
+        camera_pitch_deg=mounts.camera_pitch_deg,
+        standing_height_m=described.standing_height_m,
+        max_speed_mps=described.max_speed_mps,
+        num_joints=num_joints,
+        drive=drive,
+    )
+
+
 class ArticulatedBody(Body):
     """The bodies of N robots of one kind, rows scene after scene: a `Body` that physics simulates.
 
@@ -86,37 +124,10 @@ class ArticulatedBody(Body):
         return self.robot.description.actions.rest
 
     def vehicle(self) -> Unicycle:
-        robot, (low, high) = self.robot.description, self.action_bounds()
-        steering = None if robot.wheels is None else robot.wheels.steering
-        return Unicycle(
-            float(np.float32(low[0])),
-            float(np.float32(high[0])),
-            robot.max_yaw_rate_radps,
-            robot.heading_gain_per_s,
-            robot.length_m,
-            robot.width_m,
-            robot.footprint_radius_m,
-            0.0 if steering is None else 1.0 / min(steering.max_curvatures()),
-        )
+        return vehicle_of(self.robot)
 
     def carrier(self) -> SensorCarrier:
-        described = self.robot.description
-        mounts, wheels = described.mounts, described.wheels
-        drive: WheelMotion | None = None
-        num_joints = len(self.robot.body.drive_joints)
-        if wheels is not None:
-            geometry = DriveGeometry(wheels.radius_m, wheels.track_m, wheels.left, wheels.right)
-            drive, num_joints = wheels.steering or geometry, wheels.num_driven
-        return SensorCarrier(
-            scanner_b=mounts.scanner_b,
-            camera_b=mounts.camera_b,
-            imu_b=mounts.imu_b,
-            camera_pitch_deg=mounts.camera_pitch_deg,
-            standing_height_m=described.standing_height_m,
-            max_speed_mps=described.max_speed_mps,
-            num_joints=num_joints,
-            drive=drive,
-        )
+        return carrier_of(self.robot)
 
     def mesh(self) -> MovingMesh:
         return robot_mesh(self.robot.body)

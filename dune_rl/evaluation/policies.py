@@ -2,7 +2,7 @@
 
 import importlib
 import traceback
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -20,7 +20,8 @@ from dune_rl.core.files import sha256_of
 from dune_rl.core.suggestions import closest
 from dune_rl.env.torchrl.episode_metrics import simulation_in
 from dune_rl.learning.checkpoint import POLICY_SOURCES, find_checkpoint_file, interpreting, read_policy_file
-from dune_rl.learning.group_policy import Policy
+from dune_rl.learning.group_policy import Policy, read_begins
+from dune_rl.learning.onnx_policy import OnnxPolicy
 from dune_rl.learning.policies import built_in_policy
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.saved_policies import describe_selection, load_policy
@@ -71,7 +72,7 @@ class PolicySource:
             case "built-in":
                 return built_in_policy(self.location, env)
             case "onnx":
-                return UserPolicy(self.name, _onnx_function(Path(self.location)), env)
+                return OnnxUserPolicy(self.name, Path(self.location), env)
             case "callable":
                 return UserPolicy(self.name, _import_function(self.location), env)
 
@@ -138,7 +139,7 @@ class UserPolicy:
             shape = parts.batch_size
             rows = {key: value.flatten(0, 1).numpy().copy() for key, value in parts.items()}
             with _users_code(f"policy {self._name} failed"):
-                actions = np.asarray(self._act(rows))
+                actions = np.asarray(self._act_for(group, rows))
             expected = (shape.numel(), spec.action_size)
             fault = ""
             if actions.dtype.kind not in "fiu":
@@ -155,6 +156,23 @@ class UserPolicy:
             clipped = np.clip(actions.astype(np.float32), low, high).reshape(*shape, spec.action_size)
             observation.set((group, "action"), torch.from_numpy(clipped))
         return observation
+
+    def _act_for(self, group: str, rows: dict[str, NDArray[Any]]) -> NDArray[np.floating]:
+        return self._act(rows)
+
+
+class OnnxUserPolicy(UserPolicy):
+    """The policy of an ONNX file; of a recurrent one each agent has a memory, empty where episodes begin."""
+
+    def __init__(self, name: str, path: Path, env: EnvBase) -> None:
+        self._policies = {group: OnnxPolicy(path) for group in env.group_map}
+        self._env = env
+        super().__init__(name, next(iter(self._policies.values())).act, env)
+
+    def _act_for(self, group: str, rows: dict[str, NDArray[Any]]) -> NDArray[np.floating]:
+        policy = self._policies[group]
+        begins = read_begins(self._env, group).flatten().numpy() if policy.is_recurrent else None
+        return policy.act(rows, begins)
 
 
 def _import_function(location: str) -> Act:
@@ -199,47 +217,3 @@ def _users_code(fault: str) -> Iterator[None]:
         last = [each for each in frames if "importlib" not in each.filename][-1]
         place = "" if last.filename == __file__ else f" (line {last.lineno} of {last.filename})"
         raise ConfigError(f"{fault}: {text}{place}") from error
-
-
-def _onnx_function(path: Path) -> Act:
-    try:
-        import onnxruntime
-    except ImportError:
-        raise ConfigError(f"policy={path} needs onnxruntime: pip install 'dune_rl[onnx]'") from None
-    options = onnxruntime.SessionOptions()
-    # As everywhere in evaluations: equal results on any number of cores.
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    try:
-        session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-    except Exception as error:
-        reason = str(error).splitlines()[0]
-        raise ConfigError(f"policy={path} cannot be read as an ONNX file: {reason}") from None
-    inputs = [each.name for each in session.get_inputs()]
-    # Exporters fix the batch at one unless told otherwise.
-    one_by_one = any(each.shape[:1] == [1] for each in session.get_inputs())
-    output = session.get_outputs()[0].name
-
-    def act(observation: Mapping[str, NDArray[Any]]) -> NDArray[np.floating]:
-        if set(inputs) <= observation.keys():
-            given = {name: observation[name] for name in inputs}
-        elif len(inputs) == 1:
-            # As flat observations of the Gymnasium environment: readings in the order of their names.
-            rows = [observation[key].reshape(len(observation[key]), -1) for key in sorted(observation)]
-            given = {inputs[0]: np.concatenate(rows, axis=1).astype(np.float32)}
-        else:
-            missing = sorted(set(inputs) - observation.keys())
-            raise ConfigError(
-                f"policy={path}: there is no sensor {', '.join(missing)}; there are {', '.join(observation)}"
-            )
-        try:
-            if one_by_one:
-                count = len(next(iter(given.values())))
-                each = ({name: value[row : row + 1] for name, value in given.items()} for row in range(count))
-                return np.concatenate([session.run([output], one)[0] for one in each])
-            actions: NDArray[np.floating] = session.run([output], given)[0]
-        except Exception as error:
-            reason = " ".join(str(error).split())
-            raise ConfigError(f"policy={path} does not fit the observations: {reason}") from None
-        return actions
-
-    return act

@@ -1,16 +1,15 @@
 """One agent in one episode: what it sees, does and is, as messages."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.frames import rotation_from_yaw
-from dune_rl.ros.bag import EpisodeBag
 from dune_rl.ros.codecs import Stamp
 from dune_rl.ros.group_topics import ODOMETRY, GroupTopics
-from dune_rl.ros.library import time_ns_of
+from dune_rl.ros.library import MessageSink, time_ns_of
 from dune_rl.ros.motion import planar_pose
 from dune_rl.ros.transforms import BASE, MAP, ODOM, relative_pose
 from dune_rl.sensors.sensor import Reading
@@ -20,14 +19,14 @@ Pose = tuple[Array, Array]
 
 
 class AgentRecording:
-    """Writes the topics of the agent in `row` of a group into the bag of its episode.
+    """Writes the topics of the agent in `row` of a group into `sink`, such as the bag of its episode.
 
     `prefix` is the namespace of its topics and frames, such as `rover_0/`, or "". It writes from when the
     agent is there until its own episode ends.
     """
 
-    def __init__(self, bag: EpisodeBag, topics: GroupTopics, row: int, prefix: str) -> None:
-        self._bag, self._topics, self._row, self._prefix = bag, topics, row, prefix
+    def __init__(self, sink: MessageSink, topics: GroupTopics, row: int, prefix: str) -> None:
+        self._sink, self._topics, self._row, self._prefix = sink, topics, row, prefix
         self._taken: dict[str, int] = {}
         # By control step of the agent, as far back as a reading that has not arrived yet was taken.
         self._poses: dict[int, Pose] = {}
@@ -41,18 +40,18 @@ class AgentRecording:
         """Whether the agent has come."""
         return self._start is not None
 
-    def write_action(self, action: Array, time_ns: int) -> None:
-        """Write the action (A,) that was chosen at a time."""
-        types = self._bag.types
+    def write_action(self, action: Array, time_ns: int, *, as_twist: bool = True) -> None:
+        """Write the action (A,) that was chosen at a time; with `as_twist` also as `cmd_vel`."""
+        types = self._sink.types
         self._write("action", types.multi_array(action, "action"), time_ns)
-        twist = self._topics.twist(action)
+        twist = self._topics.twist(action) if as_twist else None
         if twist is not None:
             speed, turn = twist
             message = types.twist(np.array([speed, 0.0, 0.0]), np.array([0.0, 0.0, turn]))
             self._write("cmd_vel", message, time_ns)
 
     def write_state(
-        self, state: State, time_ns: int, readings: dict[str, Reading], scans: dict[str, Reading]
+        self, state: State, time_ns: int, readings: Mapping[str, Reading], scans: Mapping[str, Reading]
     ) -> None:
         """Write what the agent sees and is after a control step, or at the start; arrays are (N, ...)."""
         own = state.groups[self._topics.group.name]
@@ -81,14 +80,14 @@ class AgentRecording:
             if name in self._scans:
                 values[name] = self._scans[name][taken]
                 self._scans[name] = {step: scan for step, scan in self._scans[name].items() if step > taken}
-            stamp = Stamp(self._bag.types, came_ns + time_ns_of(taken, step_s), self._prefix)
+            stamp = Stamp(self._sink.types, came_ns + time_ns_of(taken, step_s), self._prefix)
             for topic, message in codec.encode(stamp, values):
                 self._write(topic, message, time_ns)
             if follows:
                 inner = planar_pose(values[name][:3].astype(np.float64))
                 self._write_frames(stamp, relative_pose(self._poses[taken], inner), inner, time_ns)
                 self._poses = {step: each for step, each in self._poses.items() if step > taken}
-        stamp = Stamp(self._bag.types, time_ns, self._prefix)
+        stamp = Stamp(self._sink.types, time_ns, self._prefix)
         if not self._topics.has_odometry:
             self._poses.clear()
             self._write_true_odometry(stamp, own, pose)
@@ -136,7 +135,7 @@ class AgentRecording:
             types.transform(types.header(stamp.time_ns, MAP), prefix + ODOM, *odom),
             types.transform(stamp.header(ODOM), prefix + BASE, *base),
         ]
-        self._bag.write("/tf", types.make("tf2_msgs/TFMessage", transforms=transforms), time_ns)
+        self._sink.write("/tf", types.make("tf2_msgs/TFMessage", transforms=transforms), time_ns)
 
     def _write_goal(self, stamp: Stamp, state: State, own: GroupState) -> None:
         """Write the goal's true place, with the height of the ground there, when it is another one."""
@@ -152,7 +151,7 @@ class AgentRecording:
         message = stamp.types.make(
             "geometry_msgs/PoseStamped", header=stamp.types.header(stamp.time_ns, MAP), pose=pose
         )
-        self._bag.write(f"/{self._prefix}goal_pose", message, stamp.time_ns, latched=True)
+        self._sink.write(f"/{self._prefix}goal_pose", message, stamp.time_ns, latched=True)
 
     def _write(self, topic: str, message: Any, time_ns: int) -> None:
-        self._bag.write(f"/{self._prefix}{topic}", message, time_ns)
+        self._sink.write(f"/{self._prefix}{topic}", message, time_ns)

@@ -49,12 +49,14 @@ class Source:
 class SensorCodec:
     """Base of codecs: one sensor's readings as messages, both ways.
 
-    `channels` are what it writes, `mounts` its fixed frames, and `sources` where each reading comes from.
+    `channels` are what it writes, `mounts` its fixed frames, and `sources` where each reading comes from;
+    `others` have another source for readings of which nothing else is there.
     """
 
     channels: tuple[Channel, ...]
     mounts: tuple[FrameMount, ...] = ()
     sources: Mapping[str, Source]
+    others: Mapping[str, Source] = {}
 
     def encode(self, stamp: Stamp, readings: Mapping[str, Reading]) -> Iterator[tuple[str, Any]]:
         """Topics and messages of one robot's `readings`, by name."""

@@ -8,6 +8,7 @@ from dune_rl.geometry.arrays import Array
 from dune_rl.ros.codecs import SensorCodec
 from dune_rl.ros.sensor_topics import make_codec
 from dune_rl.ros.transforms import FrameMount
+from dune_rl.ros.velocity_commands import twist_of_action
 from dune_rl.sensors.lidar import LidarConf
 from dune_rl.sensors.sensor import Reading
 from dune_rl.sensors.wheels import OdometryConf
@@ -81,13 +82,10 @@ class GroupTopics:
         return {name: scanner.ranges for name, scanner in self._scanners.items()}
 
     def twist(self, action: Array) -> tuple[float, float] | None:
-        """Speed [m/s] and yaw rate [rad/s] of an action; None for one that is no speed and heading.
-
-        The yaw rate is that of the heading controller's proportional part: gain times heading, within limits.
-        """
+        """Speed [m/s] and yaw rate [rad/s] of an action; None for one that is no speed and heading."""
         if not self.group.has_speed_and_heading:
             return None
-        return float(action[0]), float(self.group.body.vehicle().yaw_rates(action[1:].astype(float))[0])
+        return twist_of_action(self.group.body.vehicle(), action)
 
     def joint_names(self, row: int, count: int) -> list[str]:
         """Names of the motors' joints, which a robot's joints begin with."""

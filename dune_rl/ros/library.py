@@ -1,7 +1,7 @@
 """The library `rosbags`, which reads and writes bags without ROS, and the messages that it knows."""
 
 from functools import cache
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -109,6 +109,15 @@ class MessageTypes:
         layout = self.make("std_msgs/MultiArrayLayout", dim=dimensions, data_offset=0)
         flat = np.ascontiguousarray(values, np.uint8 if kind == "UInt8" else np.float32).reshape(-1)
         return self.make(f"std_msgs/{kind}MultiArray", layout=layout, data=flat)
+
+
+class MessageSink(Protocol):
+    """What messages are written to: a bag, or the topics of a network."""
+
+    types: MessageTypes
+
+    def write(self, topic: str, message: Any, time_ns: int, *, latched: bool = False) -> None:
+        """Add a message of `topic` at a time; a `latched` one is kept for those who come later."""
 
 
 @cache

@@ -118,6 +118,7 @@ class GoalCodec(ArrayCodec):
     def __init__(self, name: str) -> None:
         super().__init__({name: ((_GOAL_SIZE,), np.float32)})
         self.sources = {name: Source(f"observation/{name}", (ARRAYS[0], _POSE))}
+        self.others = {name: Source("goal_pose", (_POSE,))}
 
     def decode(self, reading: str, message: Any, frames: TransformTree, base: str) -> Reading:
         if not hasattr(message, "pose"):

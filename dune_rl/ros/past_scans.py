@@ -40,11 +40,17 @@ class PastScans:
 
     def reading(self, message: Any, time_ns: int, frames: TransformTree) -> Reading:
         """The past scan (n_segments,) [m] at a time, from where the latest scan `message` was measured."""
+        if not self._ends:
+            raise MessageError("there is no earlier scan yet")
         while len(self._ends) > 1 and self._ends[1][0] <= time_ns - self._past_ns:
             self._ends.pop(0)
         origin, _ = self._pose(message.header.frame_id, frames)
         _, rotation = self._pose(self._base, frames)
         return self._past.nearest(self._ends[0][1][None], origin[None], rotation[None])[0]
+
+    def forget(self) -> None:
+        """Drop all scans."""
+        self._ends.clear()
 
     def _pose(self, frame: str, frames: TransformTree) -> tuple[Array, Array]:
         pose = frames.pose(frame, self._odom)

@@ -1,29 +1,29 @@
-"""Readings of a robot out of a bag: the latest of each sensor at the times at which a policy decides."""
+"""Readings of a robot out of messages, of a bag or of live topics: the latest of each topic."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.suggestions import one_of
-from dune_rl.ros.bag import read_told
 from dune_rl.ros.codecs import ARRAYS, ArrayCodec, MessageError, SensorCodec, Source
-from dune_rl.ros.library import full_name, message_types, require_rosbags, stamp_ns
+from dune_rl.ros.library import full_name, stamp_ns
 from dune_rl.ros.past_scans import PastScans
-from dune_rl.ros.transforms import BASE, ODOM, TransformTree
+from dune_rl.ros.transforms import BASE, ODOM, FrameMount, TransformTree
 from dune_rl.sensors.lidar import LidarConf
 from dune_rl.sensors.sensor import Reading
 
+TF, TF_STATIC = "/tf", "/tf_static"
+SCAN, POSE = full_name("sensor_msgs/LaserScan"), full_name("geometry_msgs/PoseStamped")
 _NS = 1_000_000_000
-# A message that is logged so much later than a decision still counts: times of bags are rounded.
-_TOLERANCE_NS = 1_000
-_TF, _TF_STATIC = "/tf", "/tf_static"
 _TRUTH = "/ground_truth/odom"
-_SCAN = "sensor_msgs/msg/LaserScan"
 _ARRAY_NAMES = tuple(map(full_name, ARRAYS))
 _SHOWN = 6
+# How far a sensor may be from where a policy learnt with it, and turned from it [m, rad].
+_MOST_OFFSET_M, _MOST_TURN_RAD = 0.05, np.deg2rad(3.0)
 
 
 @dataclass(frozen=True)
@@ -40,52 +40,64 @@ class ReadingSource:
 
     def sources(self, part: str) -> tuple[Source, ...]:
         """Where it may come from, the standard message first."""
-        found = [] if self.codec is None else [self.codec.sources[part]]
-        return (*found, *(each for each in (self.array.sources[part],) if each not in found))
+        if self.codec is None:
+            return (self.array.sources[part],)
+        found = [self.codec.sources[part], self.array.sources[part], self.codec.others.get(part)]
+        return tuple(each for each in dict.fromkeys(found) if each is not None)
 
 
-class BagReadings:
-    """The readings `parts` of one robot in a bag (rosbag2: a folder, an .mcap or a .db3 file).
+def check_parts(named: Iterable[str], parts: Collection[str]) -> None:
+    """Raise ConfigError where a topic is named for a part that the policy does not read."""
+    for name in named:
+        if name not in parts:
+            raise ConfigError(f"topics.{name}: the policy reads no {name}, but {one_of(sorted(parts))}")
 
-    `robot` is the namespace of its topics and frames, `base` the frame of its body. `topics` names the topics
-    of parts that are not the default ones. Raises ConfigError, which says which topic is
-    missing or does not fit.
+
+class RobotReadings:
+    """The readings `parts` of one robot, out of messages on topics whose types are `types`.
+
+    `robot` is the namespace of its topics and frames, `base` the frame of its body. `named` has the topics of
+    parts that are not the default ones. `origin` names the bag or the network in errors, and `remedy` says
+    what to do about a topic that is missing. Raises ConfigError, which says which topic is missing or does
+    not fit.
     """
 
     def __init__(
         self,
-        path: Path,
         parts: Mapping[str, ReadingSource],
-        topics: Mapping[str, str],
+        types: Mapping[str, str],
+        named: Mapping[str, str],
         *,
+        origin: str,
+        remedy: str,
         robot: str | None = None,
         base: str | None = None,
     ) -> None:
-        require_rosbags("reading bags")
-        self._path, self._parts = path, dict(parts)
+        self._parts, self._types, self._origin, self._remedy = dict(parts), dict(types), origin, remedy
         self._prefix = "" if robot is None else f"{robot.strip('/')}/"
         self._base = base or f"{self._prefix}{BASE}"
-        with _opened(path) as reader:
-            self._types = {connection.topic: connection.msgtype for connection in reader.connections}
-            self._counts = {topic: info.msgcount for topic, info in reader.topics.items()}
-            self.told = read_told(reader)
         self._past: dict[str, tuple[str, PastScans]] = {}
-        self._topics = self._choose_topics(topics)
+        self.topics = self._choose_topics(named)
+        self._parts_of: dict[str, list[str]] = {}
+        for part, topic in self.topics.items():
+            self._parts_of.setdefault(topic, []).append(part)
+        self.frames = TransformTree()
+        self._latest: dict[str, Any] = {}
+        # Scans that wait for the frames of their time, which may come after them.
+        self._new_scans: list[tuple[str, int, Any]] = []
+
+    # -- topics -----------------------------------------------------------------------------------
 
     def _choose_topics(self, named: Mapping[str, str]) -> dict[str, str]:
         """The topic of each part; raises ConfigError for all that are missing or of another type."""
-        unknown = [name for name in named if name not in self._parts]
-        if unknown:
-            raise ConfigError(
-                f"topics.{unknown[0]}: the policy reads no {unknown[0]}, but {one_of(sorted(self._parts))}"
-            )
+        check_parts(named, self._parts)
         found, faults = {}, []
         for part, each in self._parts.items():
             sources = each.sources(part)
-            kinds = [full_name(kind) for source in sources for kind in source.types]
+            kinds = [*dict.fromkeys(full_name(kind) for source in sources for kind in source.types)]
             defaults = [f"/{self._prefix}{source.topic}" for source in sources]
             asked = [named[part]] if part in named else defaults
-            there = [topic for topic in asked if self._counts.get(topic)]
+            there = [topic for topic in asked if topic in self._types]
             if not there and each.past is not None and part not in named:
                 lidar, conf, past_s = each.past
                 self._past[part] = lidar, PastScans(conf, past_s, f"{self._prefix}{ODOM}", self._base)
@@ -98,78 +110,99 @@ class BagReadings:
             else:
                 found[part] = there[0]
         for part, (lidar, _) in self._past.items():
-            if self._types.get(found.get(lidar, "")) != _SCAN and not faults:
+            if self._types.get(found.get(lidar, "")) != SCAN and not faults:
                 faults.append(self._describe_missing(part, f"/{self._prefix}observation/{part}", ()))
         if faults:
             more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
-            raise ConfigError(f"{self._path}: {faults[0]}{more}")
+            raise ConfigError(f"{self._origin}: {faults[0]}{more}")
         return found
 
     def _describe_missing(self, part: str, topic: str, kinds: Sequence[str]) -> str:
         # Any array could be meant, but one that is called after another part is not.
         named = [kind for kind in kinds if kind not in _ARRAY_NAMES]
-        fits = [name for name, kind in sorted(self._types.items()) if kind in named and self._counts[name]]
+        fits = [name for name, kind in sorted(self._types.items()) if kind in named]
         lacks = f"there is no topic {topic} for {part}"
         if not fits:
             others = f", nor another of {one_of(named)}" if named else ""
-            return f"{lacks}{others}; record one"
+            return f"{lacks}{others}; {self._remedy}"
         robots = [name for name in self._robots() if not self._prefix]
         remedy = f"robot={robots[0]} or " if robots else ""
         return f"{lacks}; set {remedy}topics.{part}=TOPIC, such as {one_of(fits[:_SHOWN])}"
 
     def _robots(self) -> list[str]:
-        """The namespaces of robots in a bag of ours."""
+        """The namespaces of robots of ours."""
         ends = [name.removesuffix(_TRUTH) for name in self._types if name.endswith(_TRUTH)]
         return sorted(name.strip("/") for name in ends if name)
 
-    def decisions(self, period_s: float) -> Iterator[tuple[int, dict[str, Reading]]]:
-        """Times [ns] every `period_s`, and the readings of each part that have arrived by then.
+    def type_of(self, topic: str) -> str:
+        """The type of a topic that is read."""
+        return self._types[topic]
 
-        The first is when all parts have arrived, the last one before the last message of any.
-        """
-        first_ns, last_ns = self._extent()
-        frames = self._static_frames()
-        latest: dict[str, Any] = {}
-        by_topic: dict[str, list[str]] = {}
-        for part, topic in self._topics.items():
-            by_topic.setdefault(topic, []).append(part)
-        number = 0
-        # Scans that wait for the frames of their time, which may come after them.
-        new_scans: list[tuple[str, int, Any]] = []
-        for topic, time_ns, message in self._messages({*by_topic, _TF}):
-            if new_scans and time_ns > new_scans[0][1]:
-                self._keep_scans(new_scans, frames)
-                new_scans.clear()
-            until_ns = min(last_ns, time_ns - _TOLERANCE_NS)
-            while (due_ns := first_ns + round(number * period_s * _NS)) < until_ns:
-                yield due_ns, self._decode(latest, frames) | self._past_scans(latest, due_ns, frames)
-                number += 1
-            if topic == _TF:
-                frames.add(message)
-            for part in by_topic.get(topic, ()):
-                latest[part] = message
-                new_scans += [
-                    (name, time_ns, message) for name, (lidar, _) in self._past.items() if lidar == part
-                ]
+    # -- messages ---------------------------------------------------------------------------------
 
-    def _keep_scans(self, scans: Sequence[tuple[str, int, Any]], frames: TransformTree) -> None:
-        for part, time_ns, message in scans:
+    def take(self, topic: str, message: Any, time_ns: int) -> None:
+        """Take a message that arrived at a time; those of earlier times have been settled."""
+        if topic in (TF, TF_STATIC):
+            self.frames.add(message, is_static=topic == TF_STATIC)
+        for part in self._parts_of.get(topic, ()):
+            self._latest[part] = message
+            self._new_scans += [
+                (name, time_ns, message) for name, (lidar, _) in self._past.items() if lidar == part
+            ]
+
+    def settle(self, time_ns: int) -> None:
+        """Take note that all messages of before a time have arrived."""
+        while self._new_scans and time_ns > self._new_scans[0][1]:
+            part, taken_ns, message = self._new_scans.pop(0)
             lidar, past = self._past[part]
             with self._naming(lidar, message):
-                past.add(message, time_ns, frames)
+                past.add(message, taken_ns, self.frames)
 
-    def _past_scans(
-        self, latest: Mapping[str, Any], time_ns: int, frames: TransformTree
-    ) -> dict[str, Reading]:
+    def forget(self) -> None:
+        """Drop all messages but the fixed frames: the time of those that follow begins anew."""
+        self._latest.clear()
+        self._new_scans.clear()
+        self.frames.forget_changing()
+        for _, past in self._past.values():
+            past.forget()
+
+    @property
+    def missing(self) -> list[str]:
+        """The topics of which there is no message yet."""
+        return [topic for part, topic in self.topics.items() if part not in self._latest]
+
+    def message_of(self, topic: str) -> Any:
+        """The latest message of a topic that is read; None before the first."""
+        return self._latest.get(self._parts_of[topic][0])
+
+    @property
+    def transforms(self) -> list[tuple[str, str]]:
+        """The frames that are read from /tf, each with the frame in which its pose is needed."""
+        found = [(self._base, f"{self._prefix}{ODOM}")] if self._past else []
+        for part, topic in self.topics.items():
+            if self._types[topic] == POSE and part in self._latest:
+                found.append((self._base, self._latest[part].header.frame_id))
+        return found
+
+    def observation(self, time_ns: int) -> dict[str, Reading]:
+        """The reading of each part at a time; raises ConfigError for a message that does not fit."""
         found = {}
+        for part, message in self._latest.items():
+            source = self._parts[part]
+            is_array = message.__msgtype__ in _ARRAY_NAMES
+            codec = source.array if is_array or source.codec is None else source.codec
+            with self._naming(part, message):
+                found[part] = codec.decode(part, message, self.frames, self._base)
+                if not np.isfinite(found[part]).all():
+                    raise MessageError("it has numbers that are not finite")
         for part, (lidar, past) in self._past.items():
-            with self._naming(lidar, latest[lidar]):
-                found[part] = past.reading(latest[lidar], time_ns, frames)
+            with self._naming(lidar, self._latest[lidar]):
+                found[part] = past.reading(self._latest[lidar], time_ns, self.frames)
         return found
 
     @contextmanager
     def _naming(self, part: str, message: Any) -> Iterator[None]:
-        """Turns a MessageError into a ConfigError that names the bag, the topic and the time of a message."""
+        """Turns a MessageError into a ConfigError that names the origin, the topic and a message's time."""
         try:
             yield
         except MessageError as error:
@@ -177,80 +210,46 @@ class BagReadings:
             if hasattr(message, "header"):
                 at = f" at {stamp_ns(message.header.stamp) / _NS:.3f} s"
             raise ConfigError(
-                f"{self._path}: {self._topics[part]}{at} does not fit {part}: {error}"
+                f"{self._origin}: {self.topics[part]}{at} does not fit {part}: {error}"
             ) from None
 
-    def _decode(self, latest: Mapping[str, Any], frames: TransformTree) -> dict[str, Reading]:
-        found = {}
-        for part, message in latest.items():
-            source = self._parts[part]
-            is_array = message.__msgtype__ in _ARRAY_NAMES
-            codec = source.array if is_array or source.codec is None else source.codec
-            with self._naming(part, message):
-                found[part] = codec.decode(part, message, frames, self._base)
-        return found
+    # -- mounts -----------------------------------------------------------------------------------
 
-    def _extent(self) -> tuple[int, int]:
-        """When the last of the parts has its first message, and the last message of any [ns]."""
-        first: dict[str, int] = {}
-        last = 0
-        with _opened(self._path) as reader:
-            chosen = [each for each in reader.connections if each.topic in self._topics.values()]
-            for connection, time_ns, _ in self._records(reader, chosen):
-                first.setdefault(connection.topic, time_ns)
-                last = max(last, time_ns)
-        if lost := sorted({*self._topics.values()} - first.keys()):
-            raise ConfigError(
-                f"bag={self._path} is damaged (no message of {lost[0]}); copy or record it again"
+    def misplaced(self) -> list[str]:
+        """A line for each sensor that is mounted elsewhere than where the policy learnt, by /tf_static."""
+        lines = {}
+        for part, message in self._latest.items():
+            codec = self._parts[part].codec
+            if codec is None or not codec.mounts or message.__msgtype__ in _ARRAY_NAMES:
+                continue
+            frame = message.header.frame_id
+            is_known = bool(frame) and self.frames.pose(frame, self._base) is not None
+            if is_known and (line := self._describe_mount(part, codec.mounts, frame)):
+                lines[self.topics[part]] = line
+        return list(lines.values())
+
+    def _describe_mount(self, part: str, mounts: tuple[FrameMount, ...], frame: str) -> str:
+        """What is wrong with the place of a sensor, whose frames the policy knows as `mounts`; else empty."""
+        pose = self.frames.pose(frame, self._base)
+        assert pose is not None
+        position, rotation = np.zeros(3), np.eye(3)
+        # From the body outwards.
+        for mount in mounts:
+            position, rotation = position + rotation @ mount.position, rotation @ mount.rotation
+        topic, turned = self.topics[part], rotation.T @ pose[1]
+        # The bearings of scans are turned back; what is left is the tilt.
+        cosine = turned[2, 2] if self._types[topic] == SCAN else (np.trace(turned) - 1.0) / 2.0
+        angle = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+        if np.linalg.norm(pose[0] - position) > _MOST_OFFSET_M:
+            sensor = mounts[0].name.removesuffix("_link")
+            here, there = (f"[{','.join(f'{value:.3g}' for value in each)}]" for each in (pose[0], position))
+            return (
+                f"{topic}: {frame} is at {here} m on {self._base}, and the policy learnt with {sensor} at "
+                f"{there}; mount it there, or train with sensors.{sensor}.mount_b={here}"
             )
-        return max(first.values()), last
-
-    def _static_frames(self) -> TransformTree:
-        frames = TransformTree()
-        for _, _, message in self._messages({_TF_STATIC}):
-            frames.add(message)
-        return frames
-
-    def _records(self, reader: Any, chosen: Sequence[Any]) -> Iterator[tuple[Any, int, bytes]]:
-        """What a bag has of `chosen` connections; raises ConfigError where it is damaged."""
-        try:
-            # Of no connection, the library means all.
-            yield from reader.messages(chosen) if chosen else ()
-        except Exception as error:
-            reason = " ".join(str(error).split())
-            raise ConfigError(f"bag={self._path} is damaged ({reason}); copy or record it again") from None
-
-    def _messages(self, topics: set[str]) -> Iterator[tuple[str, int, Any]]:
-        """Topic, time [ns] and message of what the bag has of `topics`, in order of time."""
-        store = message_types().store
-        with _opened(self._path) as reader:
-            chosen = [each for each in reader.connections if each.topic in topics]
-            for connection, time_ns, data in self._records(reader, chosen):
-                try:
-                    message = store.deserialize_cdr(data, connection.msgtype)
-                except Exception as error:
-                    raise ConfigError(
-                        f"{self._path}: a message of {connection.topic} ({connection.msgtype}) cannot be "
-                        f"read: {' '.join(str(error).split())}"
-                    ) from None
-                yield connection.topic, time_ns, message
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[Any]:
-    """A reader of a bag; raises ConfigError where there is none."""
-    from rosbags.rosbag2 import Reader
-
-    try:
-        reader = Reader(path)
-        reader.open()
-    except Exception as error:
-        reason = " ".join(str(error).split())
-        raise ConfigError(
-            f"bag={path} is no bag that can be read ({reason}); give a rosbag2 folder, an .mcap or a "
-            ".db3 file"
-        ) from None
-    try:
-        yield reader
-    finally:
-        reader.close()
+        if angle > _MOST_TURN_RAD:
+            return (
+                f"{topic}: {frame} is turned by {np.rad2deg(angle):.0f} degrees from where the policy learnt "
+                "with its sensor; mount it so, or correct its frame in /tf_static"
+            )
+        return ""

@@ -78,6 +78,12 @@ class ScanCodec(SensorCodec):
                 f"{conf.fov_deg:g} degrees, have no beam of its {len(ranges)} over "
                 f"{np.rad2deg(abs(message.angle_increment) * len(ranges)):.0f} degrees"
             )
+        blind = conf.n_segments - len(np.unique(segment[inside & ~np.isnan(ranges)]))
+        if blind:
+            raise MessageError(
+                f"{blind} of the {conf.n_segments} segments of {self._name} have only NaN, no measurement; "
+                "let the driver write inf where nothing returns (REP-117)"
+            )
         # REP-117: -inf is nearer than can be measured, inf farther, NaN no measurement.
         farthest, nearest = np.float32(conf.range_m), np.float32(conf.min_range_m)
         known = np.clip(np.where(np.isnan(ranges), farthest, ranges), nearest, farthest)

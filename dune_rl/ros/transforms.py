@@ -10,6 +10,7 @@ import numpy as np
 from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.frames import rotation_from_angles, rotation_matrices
 
+_NS = 1_000_000_000
 MAP, ODOM, BASE = "map", "odom", "base_link"
 # From axes of a body (x forward, y left, z up) to those of pictures (x right, y down, z forward).
 OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -68,30 +69,54 @@ class TransformTree:
 
     def __init__(self) -> None:
         self._parents: dict[str, tuple[str, Array, Array]] = {}
+        # Times [ns] of the transforms that change.
+        self._stamps: dict[str, int] = {}
 
-    def add(self, message: Any) -> None:
-        """Take the transforms of a TFMessage."""
+    def add(self, message: Any, *, is_static: bool = False) -> None:
+        """Take the transforms of a TFMessage, of /tf_static if it `is_static`."""
         for each in message.transforms:
             moved, turned = each.transform.translation, each.transform.rotation
             position = np.array([moved.x, moved.y, moved.z])
             parent, child = (name.lstrip("/") for name in (each.header.frame_id, each.child_frame_id))
             self._parents[child] = parent, position, rotation_of(turned)
+            if not is_static:
+                self._stamps[child] = int(each.header.stamp.sec) * _NS + int(each.header.stamp.nanosec)
 
     def pose(self, frame: str, reference: str) -> tuple[Array, Array] | None:
         """Position (3,) and rotation (3, 3) of `frame` in `reference`, above it; None where none leads there.
 
         A frame is at its own origin.
         """
+        way = self._way(frame, reference)
+        if way is None:
+            return None
         position, rotation = np.zeros(3), np.eye(3)
-        seen: set[str] = set()
-        at = frame.lstrip("/")
-        while at != reference.lstrip("/"):
-            if at not in self._parents or at in seen:
-                return None
-            seen.add(at)
-            at, offset, turn = self._parents[at]
+        for at in way:
+            _, offset, turn = self._parents[at]
             position, rotation = offset + turn @ position, turn @ rotation
         return position, rotation
+
+    def oldest_ns(self, frame: str, reference: str) -> int | None:
+        """The time [ns] of the oldest changing transform from `frame` to `reference`; None without one."""
+        times = [self._stamps[at] for at in self._way(frame, reference) or () if at in self._stamps]
+        return min(times, default=None)
+
+    def forget_changing(self) -> None:
+        """Drop the transforms that are not static."""
+        for child in self._stamps:
+            del self._parents[child]
+        self._stamps.clear()
+
+    def _way(self, frame: str, reference: str) -> list[str] | None:
+        """The frames from `frame` up to below `reference`; None where none leads there."""
+        found: list[str] = []
+        at = frame.lstrip("/")
+        while at != reference.lstrip("/"):
+            if at not in self._parents or at in found:
+                return None
+            found.append(at)
+            at = self._parents[at][0]
+        return found
 
     @property
     def frames(self) -> Mapping[str, str]:

@@ -23,8 +23,8 @@ def test_the_commands_are_listed() -> None:
         [sys.executable, "-m", "dune_rl"], capture_output=True, text=True, check=True
     ).stdout
     names = re.findall(r"python -m dune_rl\.(\w+) ", listed)
-    others = {"report", "episode_sets", "view", "trajectory", "benchmark", "engines", "robots", "doctor"}
-    assert set(names) == {"train", "evaluate", "forecast", "drive", "export"} | others
+    others = {"report", "episode_sets", "ros", "view", "trajectory", "benchmark", "engines", "robots"}
+    assert set(names) == {"train", "evaluate", "forecast", "drive", "export", "doctor"} | others
     for name in names:
         assert importlib.util.find_spec(f"dune_rl.{name}") is not None
     asked = subprocess.run(

@@ -36,7 +36,7 @@ from dune_rl.commands.export.policy import parse_words as policy_words
 from dune_rl.commands.pages import PAGES as PROGRAMS
 from dune_rl.commands.report import parse_words
 from dune_rl.commands.resuming import AUTO
-from dune_rl.config.commands import EvaluateConf, ForecastConf, ViewConf
+from dune_rl.config.commands import EvaluateConf, ForecastConf, RosConf, ViewConf
 from dune_rl.config.compose import check_sweep, compose, override_value
 from dune_rl.config.schema import Conf
 from dune_rl.core import paths
@@ -102,6 +102,8 @@ def compose_command(words: list[str]) -> None:
         compose(EvaluateConf, overrides, folders, saved if override_value(overrides, "checkpoint") else None)
     elif program == "dune_rl.forecast":
         compose(ForecastConf, overrides, folders)
+    elif program == "dune_rl.ros":
+        compose(RosConf, overrides, folders, saved if override_value(overrides, "checkpoint") else None)
     elif program == "dune_rl.drive":
         drive_words(rest)
     elif program == "dune_rl.engines":

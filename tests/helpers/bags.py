@@ -14,9 +14,10 @@ from dune_rl.env.torchrl.episode_metrics import simulation_in
 from dune_rl.learning.evaluation import evaluate
 from dune_rl.learning.policies import built_in_policy
 from dune_rl.ros.bag import EpisodeBag
+from dune_rl.ros.bag_readings import BagReadings
 from dune_rl.ros.codecs import ArrayCodec
 from dune_rl.ros.group_topics import GroupTopics
-from dune_rl.ros.readings import BagReadings, ReadingSource
+from dune_rl.ros.readings import ReadingSource
 from dune_rl.ros.recorder import BagRecorder
 from dune_rl.sensors.sensor import Reading
 from dune_rl.state.state import GroupState

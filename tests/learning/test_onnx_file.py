@@ -12,9 +12,16 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from dune_rl import evaluate, export
+from dune_rl.config.build import make_learning_env
+from dune_rl.config.commands import EvaluateConf
+from dune_rl.config.compose import compose
 from dune_rl.core.files import read_csv
+from dune_rl.evaluation.policies import PolicySource
+from dune_rl.learning.evaluation import evaluate as run_episodes
+from dune_rl.learning.group_policy import Deterministic, GroupPolicy
 from dune_rl.learning.networks.policy import BEGINS, MEMORY, Architecture, make_policy_network
 from dune_rl.learning.onnx_file import METADATA, sample_inputs, write_onnx
+from dune_rl.learning.onnx_policy import OnnxPolicy
 from dune_rl.learning.policy_spec import PartSpec, PolicySpec
 
 Call = Callable[..., int]
@@ -78,6 +85,49 @@ def test_a_recurrent_policy_keeps_its_memory_outside(folder: Path) -> None:
         wanted_memory = result.get(("next", MEMORY))
         np.testing.assert_allclose(action, result.get("action").numpy(), atol=1e-5)
         np.testing.assert_allclose(memory, wanted_memory.numpy(), atol=1e-5)
+
+
+class Actions:
+    """Keeps the actions of an evaluation."""
+
+    def __init__(self) -> None:
+        self.found: list[np.ndarray] = []
+
+    def begin(self) -> None:
+        pass
+
+    def step(self, after) -> None:
+        self.found.append(after["rover", "action"].numpy().copy())
+
+    def finish(self, rows) -> None:
+        pass
+
+
+@pytest.mark.slow
+def test_a_recurrent_file_drives_as_its_network_does(folder: Path) -> None:
+    """Episodes of two scenes, which begin anew at times of their own."""
+    pytest.importorskip("onnxscript")
+    pytest.importorskip("onnxruntime")
+    words = ["+world=flat", "actors=none", "policy=go_to_goal", "task.terminations.time_limit.max_steps=4"]
+    env = make_learning_env(compose(EvaluateConf, words), 2, 0)
+    spec = PolicySpec.of(env, "rover")
+    network = make_policy_network(spec, Architecture(hidden=(16,), recurrent=8))
+    write_onnx(folder / "policy.onnx", network, spec, {})
+    plain = GroupPolicy("rover", spec, network)
+    plain.watch(env)
+    found = []
+    for policy in (Deterministic(plain), PolicySource("policy", "onnx", "policy.onnx").load(env)):
+        observer = Actions()
+        run_episodes(policy, env, 5, 0, observer=observer)
+        found.append(np.stack(observer.found))
+    env.close()
+    np.testing.assert_allclose(found[0], found[1], atol=1e-4)
+    # The memory matters, or nothing would be shown.
+    forgetful = OnnxPolicy(folder / "policy.onnx")
+    rows = {key: np.ones((1, *spec.part(key).shape), np.float32) for key in spec.keys}
+    first, second, again = (forgetful.act(rows, np.array([begins])) for begins in (True, False, True))
+    assert np.abs(second - first).max() > 1e-4
+    np.testing.assert_array_equal(first, again)
 
 
 @pytest.mark.slow

@@ -15,9 +15,13 @@ pytest.importorskip("rosbags", reason="no rosbags: pip install 'dune_rl[ros]'")
 from bags import read_with_rosbags, rewrite
 from documents import ROOT
 
-from dune_rl import drive, evaluate
+from dune_rl import drive, evaluate, export
 from dune_rl.clients.bag_player import actions_from_bag
+from dune_rl.clients.driven_policy import load_driven_policy
+from dune_rl.clients.policy_interface import PolicyInterface
 from dune_rl.core.errors import ConfigError
+from dune_rl.learning.checkpoint import read_policy_file
+from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.ros.library import message_types
 from dune_rl.ros.transforms import MAP
 
@@ -91,6 +95,30 @@ def test_the_command_writes_and_prints_them(
     assert call(drive.main, *words, "out=new/actions.csv") == 2
     assert "overwrite=true" in capsys.readouterr().err
     assert call(drive.main, *words, "out=new/actions.csv", "overwrite=true") == 0
+
+
+@pytest.mark.slow
+def test_a_bag_plays_into_an_onnx_file(
+    evaluated: Path, bag: Path, call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("onnxscript")
+    pytest.importorskip("onnxruntime")
+    assert call(export.main, f"checkpoint={POLICY}", "out=policy.onnx") == 0
+    capsys.readouterr()
+    assert call(drive.main, f"bag={bag}", "policy=policy.onnx") == 0
+    rows = list(csv.DictReader(capsys.readouterr().out.splitlines()))
+    expected = evaluated_actions(evaluated / "results", "inspection", 1)
+    np.testing.assert_allclose([float(row["action_1"]) for row in rows], expected[:, 1], atol=1e-4)
+    interface = PolicyInterface.of_run(*spec_and_config(POLICY))
+    policy = load_driven_policy(onnx=folder / "policy.onnx")
+    assert policy.interface == interface
+    assert interface.vehicle is not None and interface.goal_m == 0.75
+
+
+def spec_and_config(checkpoint: Path) -> tuple[PolicySpec, str, dict[str, Any]]:
+    content = read_policy_file(checkpoint)[1]
+    ((name, entry),) = content["groups"].items()
+    return PolicySpec.from_plain(entry["spec"]), name, content["config"]
 
 
 def other_robot(topic: str, message: Any) -> Iterable[tuple[str, Any]]:
@@ -238,10 +266,15 @@ def test_what_is_no_bag_is_named(
         error = capsys.readouterr().err
         assert sentence in error and "Traceback" not in error and error.count("\n") <= 2
     for words, sentence in (
-        ([f"bag={bag}"], "checkpoint is missing"),
+        ([f"bag={bag}"], "give one policy, checkpoint=PATH or policy=FILE.onnx"),
         (["bag"], "write key=value"),
         ([f"bag={bag}", f"checkpoint={POLICY}", "perod_s=1"], "period_s"),
         ([f"bag={bag}", f"checkpoint={POLICY}", "period_s=0"], "period_s"),
+        ([f"bag={bag}", f"checkpoint={POLICY}", "policy=a.onnx"], "give one policy"),
+        ([f"bag={bag}", f"policy={POLICY}"], "must end in .onnx; a run's is checkpoint="),
+        ([f"bag={bag}", f"checkpoint={POLICY}", "domain=3"], "domain is of live topics: leave bag out"),
+        ([f"checkpoint={POLICY}", "out=a.csv"], "out is of bags: give bag=FOLDER"),
+        ([f"checkpoint={POLICY}", "domain=233"], "domain"),
         ([f"bag={bag}", "checkpoint=absent.pt"], "absent.pt"),
     ):
         assert call(drive.main, *words) == 2

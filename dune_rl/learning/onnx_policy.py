@@ -1,0 +1,105 @@
+"""Policies in ONNX files, which act by ONNX's own runtime."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.core.errors import ConfigError
+from dune_rl.learning.networks.policy import MEMORY
+from dune_rl.learning.onnx_file import MEMORY_AFTER, METADATA
+
+
+class OnnxPolicy:
+    """A policy of an ONNX file, of this package or of others, on one thread.
+
+    A recurrent one keeps a memory for each row from call to call. `description` is what this package wrote
+    into the file about it, and empty for files of others. Raises ConfigError where the file cannot be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        try:
+            import onnxruntime
+        except ImportError:
+            raise ConfigError(f"policy={path} needs onnxruntime: pip install 'dune_rl[onnx]'") from None
+        options = onnxruntime.SessionOptions()
+        # As everywhere in evaluations: equal results on any number of cores.
+        options.intra_op_num_threads = options.inter_op_num_threads = 1
+        try:
+            session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+        except Exception as error:
+            reason = str(error).splitlines()[0]
+            raise ConfigError(f"policy={path} cannot be read as an ONNX file: {reason}") from None
+        self._path, self._session = path, session
+        shapes = {each.name: each.shape for each in session.get_inputs()}
+        self._memory_units = int(shapes.pop(MEMORY)[-1]) if MEMORY in shapes else 0
+        self._inputs = list(shapes)
+        # Exporters fix the batch at one unless told otherwise.
+        self._one_by_one = any(shape[:1] == [1] for shape in shapes.values())
+        self._outputs = [session.get_outputs()[0].name, *([MEMORY_AFTER] if self._memory_units else [])]
+        self._memory = np.zeros((0, 1, self._memory_units), np.float32)
+
+    @property
+    def is_recurrent(self) -> bool:
+        return self._memory_units > 0
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """What `dune_rl.export` wrote about the policy; empty where it wrote nothing."""
+        text = self._session.get_modelmeta().custom_metadata_map.get(METADATA, "")
+        try:
+            found = json.loads(text or "{}")
+        except ValueError:
+            found = {}
+        return found if isinstance(found, dict) else {}
+
+    def act(
+        self, observation: Mapping[str, NDArray[Any]], begins: NDArray[np.bool_] | None = None
+    ) -> NDArray[np.floating]:
+        """Actions (N, A) for readings (N, ...); a memory is emptied where an episode `begins` (N,).
+
+        Raises ConfigError where the readings do not fit.
+        """
+        if set(self._inputs) <= observation.keys():
+            given = {name: observation[name] for name in self._inputs}
+        elif len(self._inputs) == 1:
+            # As flat observations of the Gymnasium environment: readings in the order of their names.
+            rows = [observation[key].reshape(len(observation[key]), -1) for key in sorted(observation)]
+            given = {self._inputs[0]: np.concatenate(rows, axis=1).astype(np.float32)}
+        else:
+            missing = sorted(set(self._inputs) - observation.keys())
+            raise ConfigError(
+                f"policy={self._path}: there is no sensor {', '.join(missing)}; there are "
+                f"{', '.join(observation)}"
+            )
+        count = len(next(iter(given.values())))
+        if self.is_recurrent:
+            given[MEMORY] = self._memory_before(count, begins)
+        try:
+            if self._one_by_one:
+                each = [
+                    self._session.run(
+                        self._outputs, {name: value[row : row + 1] for name, value in given.items()}
+                    )
+                    for row in range(count)
+                ]
+                found = [np.concatenate(parts) for parts in zip(*each, strict=True)]
+            else:
+                found = self._session.run(self._outputs, given)
+        except Exception as error:
+            reason = " ".join(str(error).split())
+            raise ConfigError(f"policy={self._path} does not fit the observations: {reason}") from None
+        if self.is_recurrent:
+            self._memory = found[1]
+        actions: NDArray[np.floating] = found[0]
+        return actions
+
+    def _memory_before(self, count: int, begins: NDArray[np.bool_] | None) -> NDArray[np.float32]:
+        if len(self._memory) != count:
+            return np.zeros((count, 1, self._memory_units), np.float32)
+        if begins is None:
+            return self._memory
+        return np.where(begins[:, None, None], np.float32(0.0), self._memory)

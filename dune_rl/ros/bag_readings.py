@@ -1,0 +1,125 @@
+"""Readings of a robot out of a bag: the latest of each sensor at the times at which a policy decides."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from dune_rl.core.errors import ConfigError
+from dune_rl.ros.bag import read_told
+from dune_rl.ros.library import message_types, require_rosbags
+from dune_rl.ros.readings import TF, TF_STATIC, ReadingSource, RobotReadings
+from dune_rl.sensors.sensor import Reading
+
+_NS = 1_000_000_000
+# A message that is logged so much later than a decision still counts: times of bags are rounded.
+_TOLERANCE_NS = 1_000
+
+
+class BagReadings:
+    """The readings `parts` of one robot in a bag (rosbag2: a folder, an .mcap or a .db3 file).
+
+    `robot` is the namespace of its topics and frames, `base` the frame of its body. `topics` names the topics
+    of parts that are not the default ones. Raises ConfigError, which says which topic is
+    missing or does not fit.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        parts: Mapping[str, ReadingSource],
+        topics: Mapping[str, str],
+        *,
+        robot: str | None = None,
+        base: str | None = None,
+    ) -> None:
+        require_rosbags("reading bags")
+        self._path = path
+        with _opened(path) as reader:
+            counts = {topic: info.msgcount for topic, info in reader.topics.items()}
+            types = {each.topic: each.msgtype for each in reader.connections if counts[each.topic]}
+            self.told = read_told(reader)
+        self._readings = RobotReadings(
+            parts, types, topics, origin=str(path), remedy="record one", robot=robot, base=base
+        )
+
+    def decisions(self, period_s: float) -> Iterator[tuple[int, dict[str, Reading]]]:
+        """Times [ns] every `period_s`, and the readings of each part that have arrived by then.
+
+        The first is when all parts have arrived, the last one before the last message of any.
+        """
+        readings = self._readings
+        first_ns, last_ns = self._extent()
+        for topic, _, message in self._messages({TF_STATIC}):
+            readings.take(topic, message, 0)
+        number = 0
+        for topic, time_ns, message in self._messages({*readings.topics.values(), TF}):
+            readings.settle(time_ns)
+            until_ns = min(last_ns, time_ns - _TOLERANCE_NS)
+            while (due_ns := first_ns + round(number * period_s * _NS)) < until_ns:
+                yield due_ns, readings.observation(due_ns)
+                number += 1
+            readings.take(topic, message, time_ns)
+
+    def misplaced(self) -> list[str]:
+        """See `RobotReadings.misplaced`; after the last decision."""
+        return self._readings.misplaced()
+
+    def _extent(self) -> tuple[int, int]:
+        """When the last of the parts has its first message, and the last message of any [ns]."""
+        first: dict[str, int] = {}
+        last = 0
+        with _opened(self._path) as reader:
+            chosen = [each for each in reader.connections if each.topic in self._readings.topics.values()]
+            for connection, time_ns, _ in self._records(reader, chosen):
+                first.setdefault(connection.topic, time_ns)
+                last = max(last, time_ns)
+        if lost := sorted({*self._readings.topics.values()} - first.keys()):
+            raise ConfigError(
+                f"bag={self._path} is damaged (no message of {lost[0]}); copy or record it again"
+            )
+        return max(first.values()), last
+
+    def _records(self, reader: Any, chosen: Sequence[Any]) -> Iterator[tuple[Any, int, bytes]]:
+        """What a bag has of `chosen` connections; raises ConfigError where it is damaged."""
+        try:
+            # Of no connection, the library means all.
+            yield from reader.messages(chosen) if chosen else ()
+        except Exception as error:
+            reason = " ".join(str(error).split())
+            raise ConfigError(f"bag={self._path} is damaged ({reason}); copy or record it again") from None
+
+    def _messages(self, topics: set[str]) -> Iterator[tuple[str, int, Any]]:
+        """Topic, time [ns] and message of what the bag has of `topics`, in order of time."""
+        store = message_types().store
+        with _opened(self._path) as reader:
+            chosen = [each for each in reader.connections if each.topic in topics]
+            for connection, time_ns, data in self._records(reader, chosen):
+                try:
+                    message = store.deserialize_cdr(data, connection.msgtype)
+                except Exception as error:
+                    raise ConfigError(
+                        f"{self._path}: a message of {connection.topic} ({connection.msgtype}) cannot be "
+                        f"read: {' '.join(str(error).split())}"
+                    ) from None
+                yield connection.topic, time_ns, message
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """A reader of a bag; raises ConfigError where there is none."""
+    from rosbags.rosbag2 import Reader
+
+    try:
+        reader = Reader(path)
+        reader.open()
+    except Exception as error:
+        reason = " ".join(str(error).split())
+        raise ConfigError(
+            f"bag={path} is no bag that can be read ({reason}); give a rosbag2 folder, an .mcap or a "
+            ".db3 file"
+        ) from None
+    try:
+        yield reader
+    finally:
+        reader.close()
