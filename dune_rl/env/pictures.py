@@ -11,8 +11,10 @@ from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.shared_per_scene import DerivedCache
+from dune_rl.rendering.baked_scenery import BakedScenery
 from dune_rl.rendering.light import srgb_to_linear
 from dune_rl.rendering.moving_mesh import PosedMesh, RayMesh
+from dune_rl.rendering.participating_media import ParticipatingMedia
 from dune_rl.rendering.renderer import Renderer, Viewpoint
 from dune_rl.rendering.scenery import ColouredMesh, Segment, join_meshes
 from dune_rl.worlds.appearance import bake_in_weather
@@ -61,14 +63,24 @@ class Pictures:
 
     def bodies(self, scene: int) -> list[PosedMesh]:
         """The agents of all groups, and a flag at the goal of each robot."""
-        found: list[PosedMesh] = []
+        return [part for parts in self.bodies_by_name(scene).values() for part in parts]
+
+    def bodies_by_name(self, scene: int) -> dict[str, list[PosedMesh]]:
+        """The parts of each agent that is there, by its name, and flags as those of goal_of_NAME."""
+        agents: dict[str, list[PosedMesh]] = {}
+        flags: dict[str, list[PosedMesh]] = {}
         for group in self._simulation.groups:
             for row in self._rows(scene, group):
-                found += group.body.pictures(row)
-        for group in self._simulation.groups:
-            if group.task is not None and group.description.is_robot:
-                found += [self._flag_at(scene, group.starts.goals_w[row]) for row in self._rows(scene, group)]
-        return found
+                name = group.names[row - scene * group.count]
+                agents[name] = group.body.pictures(row)
+                if group.task is not None and group.description.is_robot:
+                    flags[f"goal_of_{name}"] = [self._flag_at(scene, group.starts.goals_w[row])]
+        return agents | flags
+
+    def scenery(self, scene: int) -> tuple[BakedScenery, ParticipatingMedia]:
+        """A scene's world in the light of its weather, and what is in the air."""
+        look = self._simulation.worlds.appearances[scene]
+        return bake_in_weather(look.world, look.weather), look.media
 
     def _rows(self, scene: int, group: AgentGroup) -> list[int]:
         """Rows of the agents that are in a scene."""

@@ -1,0 +1,75 @@
+"""The web server of a live view: viser's, on one address."""
+
+import contextlib
+import errno
+import io
+import socket
+from typing import TYPE_CHECKING
+
+from dune_rl.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+LOCALHOST = "127.0.0.1"
+FIRST_PORT = 8080
+
+
+def require_viser(setting: str) -> None:
+    """Raise ConfigError, which says what `setting` needs, where viser is missing or too old."""
+    try:
+        import viser.uplot  # noqa: F401
+    except ImportError:
+        raise ConfigError(f"{setting} needs viser: pip install 'dune_rl[live]'") from None
+
+
+def open_server(host: str, port: int, title: str) -> "ViserServer":
+    """A server on `host` and `port`; 0 is any free port. Raises ConfigError where it cannot listen there."""
+    from viser import ViserServer
+
+    _check_address(host, port)
+    # It writes a banner of its own.
+    with contextlib.redirect_stdout(io.StringIO()):
+        server = ViserServer(host, port, label=title, verbose=False)
+    if port not in (0, server.get_port()):
+        stop_server(server)
+        raise ConfigError(_taken(host, port))
+    # Its share button would open the page to the internet.
+    server.gui.configure_theme(show_logo=False, show_share_button=False)
+    return server
+
+
+def stop_server(server: "ViserServer") -> None:
+    """Stop a server, without its farewell on the terminal."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        server.stop()
+
+
+def free_port(host: str = LOCALHOST, first: int = FIRST_PORT) -> int:
+    """The first free port of a host from `first` on; raises ConfigError where 100 are taken."""
+    for port in range(first, first + 100):
+        with contextlib.suppress(ConfigError):
+            _check_address(host, port)
+            return port
+    raise ConfigError(f"the ports {first} to {first + 99} of {host} are all taken: end what listens there")
+
+
+def _check_address(host: str, port: int) -> None:
+    """Raise ConfigError, which says what to do, unless a server can listen there."""
+    try:
+        family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            raise ConfigError(_taken(host, port)) from None
+        if error.errno == errno.EACCES:
+            raise ConfigError(f"port={port} is reserved for the system: give one from 1024 on") from None
+        raise ConfigError(
+            f"host={host} is no address of this machine: give {LOCALHOST}, or 0.0.0.0 for all of its addresses"
+        ) from None
+
+
+def _taken(host: str, port: int) -> str:
+    return f"port={port} of {host} is taken: give another, such as port={port + 1}, or end what listens there"
