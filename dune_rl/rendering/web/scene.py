@@ -140,37 +140,45 @@ class WebScene:
                 _set(node.meshes[node.shown], visible=False)
         node.shown = solid
 
-    def show_lines(self, name: str, ends: Array, colour: Colour | Array, width: float = 2.0) -> None:
-        """Show line segments (N, 2, 3) [m] in one colour, or in colours (N, 2, 3), `width` in pixels."""
-        self._remove(name)
-        if len(ends):
-            colours = np.broadcast_to(np.asarray(colour, np.uint8), ends.shape)
-            self._drawn[name] = self._server.scene.add_line_segments(
-                f"/{name}", ends.astype(np.float32), colours, thickness=width, thickness_units="screen"
-            )
-
-    def show_points(self, name: str, points: Array, colours: Array, size_m: float = 0.05) -> None:
-        """Show points (N, 3) [m] in `colours` (N, 3) of bytes."""
-        self._remove(name)
-        if len(points):
-            self._drawn[name] = self._server.scene.add_point_cloud(
-                f"/{name}", points.astype(np.float32), colours, point_size=size_m, point_shape="circle"
-            )
-
-    def _remove(self, name: str) -> None:
+    def show_lines(self, name: str, ends: Array, colour: Colour, width: float = 2.0) -> None:
+        """Show line segments (N, 2, 3) [m] in one colour, `width` in pixels."""
+        points = ends.astype(np.float32)
         if name in self._drawn:
-            self._drawn.pop(name).remove()
+            self._redraw(name, points)
+        elif len(points):
+            colours = np.array(colour, np.uint8)
+            self._drawn[name] = self._server.scene.add_line_segments(
+                f"/{name}", points, colours, thickness=width, thickness_units="screen"
+            )
+
+    def show_points(self, name: str, points: Array, colour: Colour, size_m: float) -> None:
+        """Show points (N, 3) [m] in one colour."""
+        points = points.astype(np.float32)
+        if name in self._drawn:
+            self._redraw(name, points)
+        elif len(points):
+            self._drawn[name] = self._server.scene.add_point_cloud(
+                f"/{name}", points, colour, point_size=size_m, point_shape="circle", precision="float32"
+            )
+
+    def _redraw(self, name: str, points: Array) -> None:
+        node = self._drawn[name]
+        if len(points) and not np.array_equal(node.points, points):
+            node.points = points
+        _set(node, visible=len(points) > 0)
 
     def look(self, eye: Array, target: Array) -> None:
         """Where those who open the page look from."""
         camera = self._server.initial_camera
         camera.position, camera.look_at = eye, target
 
-    def move_cameras(self, offset: Array) -> None:
-        """Move the view of all who look by `offset` (3,) [m]."""
+    def follow(self, target: Array) -> None:
+        """Let all who look see `target` (3,) [m], from the side and the distance that each has chosen."""
         for client in self._server.get_clients().values():
-            if client.camera.update_timestamp:
-                client.camera.position = client.camera.position + offset
+            camera = client.camera
+            if camera.update_timestamp and not np.allclose(camera.look_at, target, atol=1e-4):
+                camera.position = target + (camera.position - camera.look_at)
+                camera.look_at = target
 
 
 def _glb(surfaces: Sequence[Surface]) -> bytes:

@@ -3,6 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
+from PIL import Image
+from scipy import ndimage
 
 from dune_rl.geometry.arrays import Array, Flags, Floats
 from dune_rl.rendering.baked_scenery import BakedScenery, to_srgb_bytes
@@ -15,6 +17,9 @@ from dune_rl.rendering.web.gltf import Bytes, Surface
 # Of light in surfaces for viewers with a tone map of their own: the value 1 is this bright.
 _GAIN = 2.0
 _SKY_ROWS, _SKY_COLUMNS = 512, 1024
+# The ground's picture is enlarged to at most this size.
+_MOST_TEXELS = 2_048
+_GRAIN_TEXELS, _GRAIN_SIGMAS, _GRAIN_STRENGTH = 256, (0.5, 1.3, 4.0), 0.07
 _WATER_OPACITY, _MIRRORED = 0.88, 0.3
 
 
@@ -84,11 +89,24 @@ def _ground(baked: BakedScenery, paint: _Paint) -> Surface:
     xmin, xmax, ymin, ymax = baked.terrain.extent
     uv = (vertices[:, :2] - [xmin, ymin]) / [xmax - xmin, ymax - ymin]
     white = np.ones((len(faces), 3), np.float32)
-    picture = paint.picture(baked.ground)
+    picture = paint.picture(_grained(baked.ground))
     # The first row of the ground is at the lowest y.
     return Surface(
         vertices[faces], white, picture, uv[faces].astype(np.float32), clamped=True, lit=False, gain=paint.gain
     )
+
+
+def _grained(ground: Bytes) -> Bytes:
+    """The picture (rows, columns, 3), enlarged, with the fine noise by which near ground is not a blur."""
+    rows, columns = ground.shape[:2]
+    scale = max(1, _MOST_TEXELS // max(rows, columns))
+    large = Image.fromarray(ground).resize((columns * scale, rows * scale), Image.Resampling.BICUBIC)
+    draws = np.random.default_rng(0).standard_normal((_GRAIN_TEXELS, _GRAIN_TEXELS), np.float32)
+    grain = sum(ndimage.gaussian_filter(draws, sigma, mode="wrap") * sigma for sigma in _GRAIN_SIGMAS)
+    grain = _GRAIN_STRENGTH * grain / np.std(grain)
+    repeats = -(-rows * scale // _GRAIN_TEXELS), -(-columns * scale // _GRAIN_TEXELS)
+    tiled = np.tile(grain, repeats)[: rows * scale, : columns * scale, None]
+    return np.clip(np.asarray(large, np.float32) * (1.0 + tiled), 0.0, 255.0).astype(np.uint8)
 
 
 def _props(baked: BakedScenery, paint: _Paint) -> list[Surface]:
