@@ -43,9 +43,7 @@ BUILT_IN_POLICIES = get_args(BuiltInPolicy)
 
 
 class ViewConf(EnvConf):
-    """A look at an environment, at `agent` (None: the first): pictures, a video, a live page, or an episode in 3D
-    as one file.
-    """
+    """A look at an environment and at `agent` (None: the first), in pictures, a film, a page or a 3D file."""
 
     view: Literal["sheet", "video", "both", "orbit", "map", "live", "html", "gltf"] = "both"
     checkpoint: str | None = None

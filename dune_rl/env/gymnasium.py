@@ -10,9 +10,9 @@ from dune_rl.core.errors import ConfigError
 from dune_rl.env.observation_layout import Observation
 from dune_rl.env.pettingzoo import ParallelDuneEnv
 from dune_rl.env.registration import RENDER_METADATA
+from dune_rl.env.render_mode import RenderMode
 from dune_rl.env.replay import CopiedByReplay, gymnasium_state
 from dune_rl.env.simulation import VectorSimulation
-from dune_rl.env.window import RenderMode
 
 
 class GymnasiumEnv(CopiedByReplay, gymnasium.Env):  # type: ignore[misc]
@@ -64,7 +64,7 @@ class GymnasiumEnv(CopiedByReplay, gymnasium.Env):  # type: ignore[misc]
     def render(self) -> NDArray[np.uint8] | None:
         """RGB (480, 640, 3) of the agent from behind, where `render_mode` is "rgb_array".
 
-        With "human", a window shows it at every step, and None is returned.
+        With "human", a page in a browser shows each step, in real time, and None is returned.
         """
         return self._parallel.render()
 

@@ -4,7 +4,7 @@ from base64 import b64encode
 from collections.abc import Mapping, Sequence
 from html import escape
 from io import BytesIO
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -12,9 +12,7 @@ from PIL import Image
 from dune_rl.env.live.playback import Playback
 from dune_rl.geometry.arrays import Array
 from dune_rl.rendering.web.gltf import Bytes
-
-if TYPE_CHECKING:
-    from viser import ViserServer
+from dune_rl.rendering.web.server import Server
 
 _COLOURS = (
     "#2f80ed", "#eb5757", "#27ae60", "#f2994a", "#9b51e0", "#00a6a6", "#c2185b", "#8d6e63", "#607d8b",
@@ -31,7 +29,7 @@ _TABLE = "font-size:13px;line-height:1.55;width:100%;border-collapse:collapse"
 class Panel:
     """The controls of a `playback`, and what the page says about the agent that it follows."""
 
-    def __init__(self, server: "ViserServer", playback: Playback) -> None:
+    def __init__(self, server: Server, playback: Playback) -> None:
         gui = server.gui
         self._server, self._playback = server, playback
         gui.main_panel.dock_right()
@@ -87,7 +85,7 @@ class Panel:
         """Show a line, and a table of names and values."""
         speed = self._playback.speed
         _assign(self._headline, f"**{headline}**" if headline else "")
-        _assign(self._state, _table([*rows, ("speed of time", f"{speed:g} ×")]))
+        _assign(self._state, _table([*rows, ("time runs at", f"{speed:g} x real time")]))
 
     def show_metrics(self, values: Mapping[str, float]) -> None:
         """Show the metrics of the episode so far."""
@@ -124,6 +122,7 @@ class Panel:
             (uplot.Series(label="time [s]"), *lines),
             scales={"x": uplot.Scale(time=False), "y": uplot.Scale(auto=True)},
             axes=(uplot.Axis(size=28), uplot.Axis(size=44)),
+            legend=uplot.Legend(live=False),
             height=_PLOT_PX,
             padding=(8, 8, 0, 0),
         )
@@ -135,12 +134,13 @@ def _assign(element: Any, content: str) -> None:
 
 
 def _number(value: float) -> str:
-    return "–" if np.isnan(value) else f"{value:.4g}"
+    return "-" if np.isnan(value) else f"{value:.4g}"
 
 
 def _table(rows: Sequence[tuple[str, str]]) -> str:
     lines = "".join(
-        f'<tr><td style="color:#777">{escape(name)}</td><td style="text-align:right">{escape(value)}</td></tr>'
+        f"<tr><td style='color:#777'>{escape(name)}</td>"
+        f"<td style='text-align:right'>{escape(value)}</td></tr>"
         for name, value in rows
     )
     return f'<table style="{_TABLE}">{lines}</table>'

@@ -2,27 +2,26 @@
 
 import time
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
 from dune_rl.env.agent_group import AgentGroup
+from dune_rl.env.live.numbers import describe_agent
 from dune_rl.env.live.panel import Panel
 from dune_rl.env.live.playback import Playback
 from dune_rl.env.pictures import Pictures
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.geometry.arrays import Array
 from dune_rl.rendering.web.scene import Colour, WebScene
-from dune_rl.rendering.web.server import LOCALHOST, free_port, open_server, require_viser, stop_server
+from dune_rl.rendering.web.server import LOCALHOST, free_port, open_server, stop_server
 from dune_rl.sensors.lidar import LidarConf, ScannerConf
 from dune_rl.sensors.returns import find_returns
 
-if TYPE_CHECKING:
-    from viser import ClientHandle, ViserServer
-
 _BEAM: Colour = (255, 196, 61)
 _POINT: Colour = (90, 200, 255)
-_POINT_M = 0.02
+# Of more points some are left out.
+_MOST_POINTS, _POINT_M = 2_500, 0.025
 _TRACK: Colour = (255, 120, 20)
 _WAY: Colour = (150, 160, 175)
 # Lines on the ground are drawn this far above it.
@@ -30,12 +29,13 @@ _ABOVE_GROUND_M = 0.06
 # Numbers and plots are written this often at most, in the viewer's time.
 _NUMBERS_PER_S = 5.0
 _BEHIND_M, _ABOVE_M, _TARGET_M = 4.2, 2.2, 0.4
+_TERM = "reward/"
 # A track is sent in pieces of this many steps: only the last one changes.
 _PIECE = 40
 
 
 class SceneView:
-    """What is to be seen of a simulation's scene 0, in a `web` scene; `group` and `row` are the agent followed."""
+    """What is to be seen of a simulation's scene 0; the agent in `row` of `group` is followed."""
 
     def __init__(self, simulation: VectorSimulation, web: WebScene, group: AgentGroup, row: int) -> None:
         self._simulation, self._web, self.group, self.row = simulation, web, group, row
@@ -51,7 +51,7 @@ class SceneView:
     @property
     def target(self) -> Array:
         """The point (3,) [m] that views of the agent look at."""
-        return self.position + [0.0, 0.0, _TARGET_M]
+        return self.position + np.array([0.0, 0.0, _TARGET_M])
 
     def begin(self) -> None:
         """Show the start of an episode."""
@@ -59,17 +59,14 @@ class SceneView:
         for piece in range(self._pieces + 1):
             self._web.show_lines(f"tracks/{piece}", np.zeros((0, 2, 3)), _TRACK)
         self._track, self._pieces = [], 0
+        self._web.look(*self._view_from_behind())
         self.update()
 
-    def look_from_behind(self) -> None:
-        """Let those who open the page look at the agent from behind."""
-        self._web.look(*self.view_from_behind())
-
-    def show_agent_to(self, client: "ClientHandle") -> None:
+    def show_agent_to(self, client: Any) -> None:
         """Let one visitor look at the agent from behind."""
-        client.camera.position, client.camera.look_at = self.view_from_behind()
+        client.camera.position, client.camera.look_at = self._view_from_behind()
 
-    def view_from_behind(self) -> tuple[Array, Array]:
+    def _view_from_behind(self) -> tuple[Array, Array]:
         """Eye (3,) and target (3,) [m] of a view of the agent from behind and above."""
         yaw = float(self.group.body.motion.yaw[self.row])
         ahead = np.array([np.cos(yaw), np.sin(yaw), 0.0])
@@ -85,23 +82,21 @@ class SceneView:
         self._show_ways(shows_ways)
 
     def _show_returns(self, is_shown: bool) -> None:
-        suite = self.group.suite
+        """Draw the beams of planar LiDARs that return, and the points of those with rings."""
+        suite, motion = self.group.suite, self.group.body.motion
         readings = self._simulation.observe(self.group.name) if suite is not None and is_shown else {}
-        motion = self.group.body.motion
+        position, rotation = motion.position_w[self.row], motion.rotation[self.row]
         beams, points = [np.zeros((0, 2, 3))], [np.zeros((0, 3))]
         for name, conf in {} if suite is None else suite.settings.items():
             key = name if isinstance(conf, LidarConf) else f"{name}_range"
-            if not isinstance(conf, ScannerConf) or key not in readings:
-                continue
-            origin, ends = find_returns(
-                conf, readings[key][0, self.row], motion.position_w[self.row], motion.rotation[self.row]
-            )
-            if isinstance(conf, LidarConf):
-                beams.append(np.stack([np.broadcast_to(origin, ends.shape), ends], axis=1))
-            else:
-                points.append(ends)
+            if isinstance(conf, ScannerConf) and key in readings:
+                origin, ends = find_returns(conf, readings[key][0, self.row], position, rotation)
+                if isinstance(conf, LidarConf):
+                    beams.append(np.stack([np.broadcast_to(origin, ends.shape), ends], axis=1))
+                else:
+                    points.append(ends[:: -(-len(ends) // _MOST_POINTS)])
         self._web.show_lines("beams", np.concatenate(beams), _BEAM, width=1.0)
-        self._web.show_points("points", np.concatenate(points), _POINT, _POINT_M)
+        self._web.show_points("points", np.concatenate(points), position, _POINT, _POINT_M)
 
     def _extend_track(self) -> None:
         """Draw the way that the agent has come, on the ground."""
@@ -136,7 +131,10 @@ def _segments(points: Array) -> Array:
 
 
 class LivePage:
-    """A page on `host` and `port` with a simulation's scene 0 and a panel; `url` is its address."""
+    """A page on `host` and `port` with a simulation's scene 0 and a panel; `url` is its address.
+
+    It says the state, rewards and metrics of the agent in `row` of `group`, and looks at it.
+    """
 
     def __init__(
         self,
@@ -147,61 +145,63 @@ class LivePage:
         host: str = LOCALHOST,
         port: int | None = None,
         title: str = "dune_rl",
+        announces: bool = False,
     ) -> None:
-        """Without a `port`, the first one from 8080 on is taken that is free."""
-        require_viser("a live view")
+        """Without a `port`, the first one from 8080 on is taken that is free.
+
+        A page that `announces` itself writes its address to the terminal.
+        """
         port = free_port(host) if port is None else port
-        self.server: ViserServer = open_server(host, port, title)
+        self.server = open_server(host, port, title, announces=announces)
         self.url = f"http://{host}:{self.server.get_port()}"
         self.playback = Playback()
         self.panel = Panel(self.server, self.playback)
         self._web = WebScene(self.server)
-        self.scene = SceneView(simulation, self._web, group, row)
+        self._scene = SceneView(simulation, self._web, group, row)
         self._simulation, self._group, self._row = simulation, group, row
-        # The first view is of the start: for those who come later, of where the agent is.
-        self.server.on_client_connect(lambda client: self.scene.show_agent_to(client))
+        self._is_begun = False
         self._numbers_due_s = 0.0
         self._times_s: list[float] = []
         self._sums: list[Array] = []
+        # The first view is of an episode's start: those who come later see the agent where it is.
+        self.server.on_client_connect(lambda client: self._scene.show_agent_to(client))
 
-    def begin(self, rows: Sequence[tuple[str, str]], headline: str = "") -> None:
-        """Show the start of an episode; `rows` are the names and values of the state's table."""
-        self._times_s, self._sums = [], []
-        self._numbers_due_s = 0.0
-        self.scene.begin()
-        self.scene.look_from_behind()
-        self._web.follow(self.scene.target)
-        self._show_numbers(headline, rows)
+    def show(self, more: Sequence[tuple[str, str]] = (), headline: str = "") -> None:
+        """Show the present state; `more` are names and values for the table beside those of the agent."""
+        if not self._is_begun or not self._simulation.steps[0]:
+            self._is_begun = True
+            self._times_s, self._sums = [], []
+            self._numbers_due_s = 0.0
+            self._scene.begin()
+            self._web.follow(self._scene.target)
+        else:
+            with self.server.atomic():
+                self._scene.update(shows_beams=self.panel.shows_beams, shows_ways=self.panel.shows_ways)
+            if self.panel.follows:
+                self._web.follow(self._scene.target)
+        self._show_numbers(more, headline)
 
-    def update(self, rows: Sequence[tuple[str, str]], headline: str = "") -> None:
-        """Show the state after a step."""
-        with self.server.atomic():
-            self.scene.update(shows_beams=self.panel.shows_beams, shows_ways=self.panel.shows_ways)
-        if self.panel.follows:
-            self._web.follow(self.scene.target)
-        self._show_numbers(headline, rows)
-
-    def _show_numbers(self, headline: str, rows: Sequence[tuple[str, str]]) -> None:
-        names = self._simulation.metric_names(self._group.name)
-        values = self._simulation.metrics(self._group.name)[0, self._row]
-        self._times_s.append(float(self._simulation.steps[0]) * self._simulation.physics.control_step_s)
-        self._sums.append(values)
+    def _show_numbers(self, more: Sequence[tuple[str, str]], headline: str) -> None:
+        simulation, name = self._simulation, self._group.name
+        names = simulation.metric_names(name)
+        values = simulation.metrics(name)[0, self._row]
+        time_s = float(simulation.steps[0]) * simulation.physics.control_step_s
+        self._times_s.append(time_s)
+        is_term = [each.startswith(_TERM) for each in names]
+        self._sums.append(values[is_term])
         now = time.monotonic()
         if now < self._numbers_due_s and not headline and not self.playback.is_paused:
             return
         self._numbers_due_s = now + 1.0 / _NUMBERS_PER_S
-        self.panel.show_state(headline, rows)
-        metrics = dict(zip(names, values.tolist(), strict=True))
-        is_term = [name.startswith("reward/") for name in names]
-        self.panel.show_metrics({name: value for name, value in metrics.items() if "/" not in name})
-        sums = np.array(self._sums)[:, is_term]
-        terms = [name.removeprefix("reward/") for name in names if name.startswith("reward/")]
-        if len(self._sums) > 1:
-            self.panel.show_rewards(np.array(self._times_s), dict(zip(terms, sums.T, strict=True)))
-        pictures = (
-            value for name, value in self._simulation.observe(self._group.name).items() if name.endswith("_rgb")
-        )
-        picture = next(pictures, None)
+        rows = describe_agent(simulation, self._group, self._row, time_s)
+        self.panel.show_state(headline, [*more, *rows])
+        found = zip(names, values.tolist(), strict=True)
+        self.panel.show_metrics({each: value for each, value in found if "/" not in each})
+        terms = [each.removeprefix(_TERM) for each in names if each.startswith(_TERM)]
+        sums = dict(zip(terms, np.array(self._sums).T, strict=True))
+        self.panel.show_rewards(np.array(self._times_s), sums)
+        readings = simulation.observe(name)
+        picture = next((value for each, value in readings.items() if each.endswith("_rgb")), None)
         if picture is not None:
             self.panel.show_picture(picture[0, self._row])
 

@@ -31,9 +31,9 @@ Bytes = NDArray[np.uint8]
 class Surface:
     """Triangles with one material: `corners` (F, 3, 3) [m] and `colours` (F, 3) in linear RGB, in [0, 1].
 
-    A `picture` (rows, columns, 3) of sRGB bytes is multiplied by the colours; `uv` (F, 3, 2) are its coordinates
-    at the corners, from 0 at its upper left to 1. It repeats beyond, unless it is `clamped`. Surfaces that are not
-    `lit` are shown as they are; all colours are multiplied by `gain`.
+    A `picture` (rows, columns, 3) of sRGB bytes is multiplied by the colours; `uv` (F, 3, 2) are its
+    coordinates at the corners, from 0 at its upper left to 1. It repeats beyond, unless it is `clamped`.
+    Surfaces that are not `lit` are shown as they are; all colours are multiplied by `gain`.
     """
 
     corners: Array
@@ -103,8 +103,8 @@ class GltfFile:
         self,
         node: int,
         path: Literal["translation", "rotation", "scale"],
-        times_s: Floats,
-        values: Floats,
+        times_s: Array,
+        values: Array,
         *,
         steps: bool = False,
     ) -> None:
@@ -124,9 +124,7 @@ class GltfFile:
         """The file's content."""
         tree = dict(self._tree)
         if self._channels:
-            tree["animations"] = [
-                {"name": "episode", "samplers": self._samplers, "channels": self._channels}
-            ]
+            tree["animations"] = [{"name": "episode", "samplers": self._samplers, "channels": self._channels}]
         tree["buffers"] = [{"byteLength": self._size}]
         text = json.dumps(tree, separators=(",", ":")).encode()
         text += b" " * (-len(text) % 4)

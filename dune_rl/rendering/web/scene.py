@@ -2,9 +2,10 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dune_rl.geometry.arrays import Array
 from dune_rl.rendering.baked_scenery import BakedScenery
@@ -13,12 +14,11 @@ from dune_rl.rendering.moving_mesh import PosedMesh, RayMesh
 from dune_rl.rendering.participating_media import ParticipatingMedia
 from dune_rl.rendering.scenery import ColouredMesh
 from dune_rl.rendering.web.gltf import GltfFile, Surface, quaternions
+from dune_rl.rendering.web.server import Server
 from dune_rl.rendering.web.surfaces import body_surfaces, sky_surface, world_surfaces
 
-if TYPE_CHECKING:
-    from viser import ViserServer
-
 Colour = tuple[int, int, int]
+Values = NDArray[np.floating]
 
 _SKY_RADIUS_M, _FARTHEST_M, _NEAREST_M = 1_500.0, 4_000.0, 0.05
 _SUN_AWAY_M = 100.0
@@ -49,7 +49,7 @@ class _Part:
 class WebScene:
     """The 3D scene of a `server`'s page: a baked world, bodies that move, and lines and points."""
 
-    def __init__(self, server: "ViserServer") -> None:
+    def __init__(self, server: Server) -> None:
         self._server = server
         self._world: BakedScenery | None = None
         self._parts: dict[str, _Part] = {}
@@ -122,7 +122,7 @@ class WebScene:
         self._show_mesh(name, node, part.solid)
 
     def _show_mesh(self, name: str, node: _Part, solid: RayMesh) -> None:
-        """Show one of the meshes of a part. A new one takes a moment to load: the last one stays till then."""
+        """Show a mesh of a part. A new one takes a moment to load: the one before stays for a step."""
         if node.last is not None:
             _set(node.meshes[node.last], visible=node.last is solid)
             node.last = None
@@ -151,17 +151,24 @@ class WebScene:
                 f"/{name}", points, colours, thickness=width, thickness_units="screen"
             )
 
-    def show_points(self, name: str, points: Array, colour: Colour, size_m: float) -> None:
-        """Show points (N, 3) [m] in one colour."""
-        points = points.astype(np.float32)
+    def show_points(self, name: str, points: Array, near: Array, colour: Colour, size_m: float) -> None:
+        """Show points (N, 3) [m] in one colour. They are sent in 16 bits a number, about `near` (3,)."""
+        local = (points - near).astype(np.float16)
         if name in self._drawn:
-            self._redraw(name, points)
+            self._redraw(name, local)
+            self._drawn[name].position = near
         elif len(points):
             self._drawn[name] = self._server.scene.add_point_cloud(
-                f"/{name}", points, colour, point_size=size_m, point_shape="circle", precision="float32"
+                f"/{name}",
+                local,
+                colour,
+                point_size=size_m,
+                point_shape="circle",
+                point_shading="flat",
+                position=near,
             )
 
-    def _redraw(self, name: str, points: Array) -> None:
+    def _redraw(self, name: str, points: Values) -> None:
         node = self._drawn[name]
         if len(points) and not np.array_equal(node.points, points):
             node.points = points
@@ -196,12 +203,12 @@ def _set(node: Any, *, visible: bool) -> None:
         node.visible = visible
 
 
-def _bytes(linear: Array) -> Colour:
+def _bytes(linear: Values) -> Colour:
     red, green, blue = (linear_to_srgb(np.asarray(linear)) * 255.0).round().astype(int).tolist()
     return red, green, blue
 
 
-def _colour_and_strength(linear: Array) -> tuple[Colour, float]:
+def _colour_and_strength(linear: Values) -> tuple[Colour, float]:
     """A colour whose largest part is full, and what it is multiplied by."""
     strength = float(np.max(linear))
     return _bytes(linear / strength), strength

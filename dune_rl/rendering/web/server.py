@@ -4,12 +4,12 @@ import contextlib
 import errno
 import io
 import socket
-from typing import TYPE_CHECKING
+from typing import Any
 
 from dune_rl.core.errors import ConfigError
 
-if TYPE_CHECKING:
-    from viser import ViserServer
+# viser's ViserServer.
+Server = Any
 
 LOCALHOST = "127.0.0.1"
 FIRST_PORT = 8080
@@ -23,14 +23,15 @@ def require_viser(setting: str) -> None:
         raise ConfigError(f"{setting} needs viser: pip install 'dune_rl[live]'") from None
 
 
-def open_server(host: str, port: int, title: str) -> "ViserServer":
-    """A server on `host` and `port`; 0 is any free port. Raises ConfigError where it cannot listen there."""
+def open_server(host: str, port: int, title: str, *, announces: bool = False) -> Server:
+    """A server on `host` and `port`; 0 is any free port. Raises ConfigError where it cannot listen there.
+
+    Where it `announces` itself, it writes its address to the terminal, and who comes and goes.
+    """
     from viser import ViserServer
 
     _check_address(host, port)
-    # It writes a banner of its own.
-    with contextlib.redirect_stdout(io.StringIO()):
-        server = ViserServer(host, port, label=title, verbose=False)
+    server = ViserServer(host, port, label=title, verbose=announces)
     if port not in (0, server.get_port()):
         stop_server(server)
         raise ConfigError(_taken(host, port))
@@ -39,7 +40,7 @@ def open_server(host: str, port: int, title: str) -> "ViserServer":
     return server
 
 
-def stop_server(server: "ViserServer") -> None:
+def stop_server(server: Server) -> None:
     """Stop a server, without its farewell on the terminal."""
     with contextlib.redirect_stdout(io.StringIO()):
         server.stop()
@@ -67,7 +68,7 @@ def _check_address(host: str, port: int) -> None:
         if error.errno == errno.EACCES:
             raise ConfigError(f"port={port} is reserved for the system: give one from 1024 on") from None
         raise ConfigError(
-            f"host={host} is no address of this machine: give {LOCALHOST}, or 0.0.0.0 for all of its addresses"
+            f"host={host} is no address of this machine: give {LOCALHOST}, or 0.0.0.0 for all of them"
         ) from None
 
 

@@ -31,21 +31,21 @@ def body_surfaces(mesh: ColouredMesh) -> list[Surface]:
 def world_surfaces(baked: BakedScenery, *, tone_mapped: bool = False) -> list[Surface]:
     """Ground, props and water in the light that is baked for them.
 
-    Colours are light, for viewers with a tone map of their own, or `tone_mapped` as in the renderer's pictures.
+    Colours are light, for viewers with a tone map of their own, or `tone_mapped` as in pictures.
     """
     paint = _Paint(tone_mapped)
     return [_ground(baked, paint), *_props(baked, paint), *_water(baked, paint)]
 
 
-def sky_surface(baked: BakedScenery, haze: Haze | None, radius_m: float, *, tone_mapped: bool = False) -> Surface:
-    """The sky as a sphere of `radius_m` about the origin, seen from inside."""
+def sky_surface(baked: BakedScenery, haze: Haze | None, radius_m: float) -> Surface:
+    """The sky as a sphere of `radius_m` about the origin, for viewers with a tone map of their own."""
     elevation = np.pi / 2 - (np.arange(_SKY_ROWS) + 0.5) / _SKY_ROWS * np.pi
     bearing = (np.arange(_SKY_COLUMNS) + 0.5) / _SKY_COLUMNS * 2 * np.pi
     level = np.cos(elevation)[:, None]
     up = np.broadcast_to(np.sin(elevation)[:, None], (_SKY_ROWS, _SKY_COLUMNS))
     directions = np.stack([level * np.cos(bearing), level * np.sin(bearing), up], axis=-1)
     light = Sky(baked.light, haze).colours(directions.reshape(-1, 3).astype(np.float32))
-    paint = _Paint(tone_mapped)
+    paint = _Paint(tone_mapped=False)
     picture = paint.picture(to_srgb_bytes(light)).reshape(_SKY_ROWS, _SKY_COLUMNS, 3)
     v, u = np.meshgrid(np.linspace(0, 1, 25), np.linspace(0, 1, 49), indexing="ij")
     turn, tilt = 2 * np.pi * u, np.pi / 2 - np.pi * v
@@ -92,7 +92,13 @@ def _ground(baked: BakedScenery, paint: _Paint) -> Surface:
     picture = paint.picture(_grained(baked.ground))
     # The first row of the ground is at the lowest y.
     return Surface(
-        vertices[faces], white, picture, uv[faces].astype(np.float32), clamped=True, lit=False, gain=paint.gain
+        vertices[faces],
+        white,
+        picture,
+        uv[faces].astype(np.float32),
+        clamped=True,
+        lit=False,
+        gain=paint.gain,
     )
 
 
@@ -125,9 +131,7 @@ def _props(baked: BakedScenery, paint: _Paint) -> list[Surface]:
         if its.any():
             uv = _uv(corners[its], props.texture.maps[its])
             found.append(
-                Surface(
-                    corners[its], light[its], picture, uv, lit=False, gain=paint.gain, two_sided=True
-                )
+                Surface(corners[its], light[its], picture, uv, lit=False, gain=paint.gain, two_sided=True)
             )
     return found
 
@@ -152,6 +156,4 @@ def _water(baked: BakedScenery, paint: _Paint) -> list[Surface]:
     shown = to_srgb_bytes(mean + _MIRRORED * (mirrored - mean))
     colours = np.broadcast_to(paint.linear(shown), (int(wet.sum()), 3))
     corners = whole.vertices[whole.faces[wet]]
-    return [
-        Surface(corners, colours, lit=False, opacity=_WATER_OPACITY, gain=paint.gain, two_sided=True)
-    ]
+    return [Surface(corners, colours, lit=False, opacity=_WATER_OPACITY, gain=paint.gain, two_sided=True)]

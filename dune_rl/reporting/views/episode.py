@@ -120,13 +120,9 @@ class EpisodeView:
     def status(self, steps: int) -> list[str]:
         """The agent's state after `steps` control steps, in a few lines."""
         lines = [] if len(self.simulation.agents) == 1 else [self.agent]
-        (_, time), *rows = self.state_rows(steps)
-        return [*lines, time, *(f"{name} {value}" for name, value in rows)]
-
-    def state_rows(self, steps: int) -> list[tuple[str, str]]:
-        """The same as names and values."""
         time_s = steps / self.conf.physics.decision_hz
-        return describe_agent(self.simulation, self.group, self._row, time_s)
+        (_, time), *rows = describe_agent(self.simulation, self.group, self._row, time_s)
+        return [*lines, time, *(f"{name} {value}" for name, value in rows)]
 
     def ending(self) -> str:
         """How the agent's episode ended; empty while it goes on."""

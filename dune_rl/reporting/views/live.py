@@ -61,7 +61,7 @@ class LiveSession:
             view.row,
             host=conf.host,
             port=conf.port,
-            title=f"{conf.world.name} – dune_rl",
+            title=f"{conf.world.name} - dune_rl",
         )
         self.url = self.page.url
         self._seed, self._episode = conf.seed, conf.episode
@@ -71,8 +71,7 @@ class LiveSession:
         self._policy: Policy | None = None
         self._requests: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._steps: Iterator[bool] = iter(())
-        self._count, self._ticks_left = 0, 0
-        self._is_done = False
+        self._ticks_left, self._is_done = 0, False
         self._add_controls()
 
     # -- the page's controls ----------------------------------------------------------------------
@@ -176,8 +175,8 @@ class LiveSession:
         self._policy = None
         self._steps = self._view.run(self._seed, self._episode, self._drive)
         next(self._steps)
-        self._count, self._is_done = 0, False
-        self.page.begin(self._rows())
+        self._is_done = False
+        self.page.show(self._rows())
 
     def _drive(self, observation: TensorDictBase) -> TensorDictBase:
         if self._policy is None:
@@ -186,7 +185,7 @@ class LiveSession:
 
     def _rows(self) -> list[tuple[str, str]]:
         title = f"{self._episode} of seed {self._seed}"
-        return [("episode", title), ("driver", self._driver), *self._view.state_rows(self._count)]
+        return [("episode", title), ("driver", self._driver)]
 
     def run(self, is_over: Callable[[], bool] = lambda: False) -> None:
         """Run episodes until `is_over`."""
@@ -206,8 +205,7 @@ class LiveSession:
 
     def _step(self) -> None:
         self._is_done = next(self._steps)
-        self._count += 1
-        self.page.update(self._rows(), self._view.ending())
+        self.page.show(self._rows(), self._view.ending())
         self._ticks_left = round(_END_S * self._conf.physics.decision_hz * self.page.playback.speed)
 
     def close(self) -> None:

@@ -31,7 +31,6 @@ def write_html(view: EpisodeView, path: Path) -> Path:
                 scene.update()
             else:
                 scene.begin()
-                scene.look_from_behind()
         page = record.as_html()
     finally:
         stop_server(server)
@@ -50,7 +49,7 @@ def write_gltf(view: EpisodeView, path: Path) -> Path:
     file = GltfFile()
     baked, _ = pictures.scenery(0)
     file.add_node("ground_and_objects", file.add_mesh(world_surfaces(baked, tone_mapped=True)))
-    times_s = np.arange(count) * _step_s(view)
+    times_s: Array = np.arange(count) * _step_s(view)
     meshes: dict[RayMesh, int] = {}
     bodies: dict[str, int] = {}
     for name, track in parts.items():
@@ -98,9 +97,7 @@ class _PartTrack:
         self.rotations.append(part.rotation.copy())
         self.shown.append(part.solid)
 
-    def write(
-        self, file: GltfFile, name: str, body: int, times_s: Array, meshes: dict[RayMesh, int]
-    ) -> None:
+    def write(self, file: GltfFile, name: str, body: int, times_s: Array, meshes: dict[RayMesh, int]) -> None:
         """Add the part's node and its animation to a file; `meshes` are the numbers of those that it has."""
         node = file.add_node(name, None, self.positions[0], self.rotations[0], parent=body)
         positions, turns = np.array(self.positions), _continuous(quaternions(np.array(self.rotations)))
@@ -114,7 +111,9 @@ class _PartTrack:
                 meshes[solid] = file.add_mesh(body_surfaces(solid.shape))
             child = file.add_node(f"{name}_{number}", meshes[solid], parent=node)
             is_shown = np.zeros(len(times_s), bool)
-            is_shown[[step for step, mesh in zip(self.steps, self.shown, strict=True) if mesh is solid]] = True
+            is_shown[[step for step, mesh in zip(self.steps, self.shown, strict=True) if mesh is solid]] = (
+                True
+            )
             if not is_shown.all():
                 # glTF has no visibility that can be animated.
                 changes = np.flatnonzero(np.append(True, is_shown[1:] != is_shown[:-1]))
