@@ -116,7 +116,7 @@ class Pictures:
         for turn in np.deg2rad(_TURNS_DEG):
             forward = np.array([np.cos(yaw + turn), np.sin(yaw + turn), 0.0])
             eye = position - (_BEHIND_M + more) * forward + [0.0, 0.0, _ABOVE_M + more]
-            eye = self._free_eye(scene, position, eye, _FARTHEST_EYE_M + 1.5 * more)
+            eye = self.free_eye(scene, position, eye, _FARTHEST_EYE_M + 1.5 * more)
             look_m = _LOOK_AHEAD_M * max(np.cos(turn), 0.0)
             views.append((eye, position + look_m * ahead + [0.0, 0.0, 0.5 * more]))
             if not _is_hidden(position, eye, others):
@@ -150,7 +150,7 @@ class Pictures:
         """RGB (height, width, 3) of a moment of a scene's episode, from behind its agent and above."""
         ahead = np.array([np.cos(moment.yaw), np.sin(moment.yaw), 0.0])
         eye = moment.position - _BEHIND_M * ahead + [0.0, 0.0, _ABOVE_M]
-        eye = self._free_eye(scene, moment.position, eye, _FARTHEST_EYE_M)
+        eye = self.free_eye(scene, moment.position, eye, _FARTHEST_EYE_M)
         view = Viewpoint(tuple(eye), tuple(moment.position + _LOOK_AHEAD_M * ahead), 1.05)
         return self._painters[scene].render(view, width, height, moment.bodies, samples)
 
@@ -198,8 +198,8 @@ class Pictures:
     def _ground(self, scene: int, xy: Array) -> float:
         return float(self._simulation.worlds.worlds[scene].terrain.height(xy))
 
-    def _free_eye(self, scene: int, position: Array, eye: Array, farthest_m: float) -> Array:
-        """The point nearest to `eye` from which the agent is in sight, above the ground."""
+    def free_eye(self, scene: int, position: Array, eye: Array, farthest_m: float) -> Array:
+        """The point nearest to `eye` from which an agent at `position` is in sight, above the ground."""
         start = position + np.array([0.0, 0.0, 0.45])
         # From behind; where a wall leaves no room there, from ever higher up.
         ways = eye - start + np.outer([0.0, 1.0, 2.5, 40.0], [0.0, 0.0, _ABOVE_M])
@@ -207,7 +207,7 @@ class Pictures:
         lengths = np.minimum(lengths, np.float32(farthest_m))
         ways /= np.linalg.norm(ways, axis=1, keepdims=True)
         reach = lengths.copy()
-        self._painters[scene].baked.rays.shorten_ranges(
+        self.scenery(scene)[0].rays.shorten_ranges(
             start[None].astype(np.float32), ways.astype(np.float32), reach
         )
         free = np.maximum(reach - np.float32(_CLEAR_OF_WALLS_M), 0.0)

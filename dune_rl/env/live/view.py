@@ -28,7 +28,7 @@ _WAY: Colour = (150, 160, 175)
 _ABOVE_GROUND_M = 0.06
 # Numbers and plots are written this often at most, in the viewer's time.
 _NUMBERS_PER_S = 5.0
-_BEHIND_M, _ABOVE_M, _TARGET_M = 4.2, 2.2, 0.4
+_BEHIND_M, _ABOVE_M, _TARGET_M = 4.2, 3.0, 0.4
 _TERM = "reward/"
 # A track is sent in pieces of this many steps: only the last one changes.
 _PIECE = 40
@@ -72,7 +72,8 @@ class SceneView:
         ahead = np.array([np.cos(yaw), np.sin(yaw), 0.0])
         eye = self.position - _BEHIND_M * ahead
         eye[2] = max(eye[2], self._ground(*eye[:2])) + _ABOVE_M
-        return eye, self.target
+        reach_m = float(np.linalg.norm(eye - self.position))
+        return self._pictures.free_eye(0, self.position, eye, reach_m), self.target
 
     def update(self, *, shows_beams: bool = True, shows_ways: bool = True) -> None:
         """Show the present state."""

@@ -31,7 +31,9 @@ def open_server(host: str, port: int, title: str, *, announces: bool = False) ->
     from viser import ViserServer
 
     _check_address(host, port)
-    server = ViserServer(host, port, label=title, verbose=announces)
+    # It writes a banner in any case.
+    with contextlib.nullcontext() if announces else contextlib.redirect_stdout(io.StringIO()):
+        server = ViserServer(host, port, label=title, verbose=announces)
     if port not in (0, server.get_port()):
         stop_server(server)
         raise ConfigError(_taken(host, port))

@@ -49,7 +49,7 @@ def write_gltf(view: EpisodeView, path: Path) -> Path:
     file = GltfFile()
     baked, _ = pictures.scenery(0)
     file.add_node("ground_and_objects", file.add_mesh(world_surfaces(baked, tone_mapped=True)))
-    times_s: Array = np.arange(count) * _step_s(view)
+    times_s = np.linspace(0.0, (count - 1) * _step_s(view), count)
     meshes: dict[RayMesh, int] = {}
     bodies: dict[str, int] = {}
     for name, track in parts.items():
