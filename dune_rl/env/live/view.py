@@ -39,7 +39,7 @@ class SceneView:
 
     def __init__(self, simulation: VectorSimulation, web: WebScene, group: AgentGroup, row: int) -> None:
         self._simulation, self._web, self.group, self.row = simulation, web, group, row
-        self._pictures = Pictures(simulation)
+        self.pictures = Pictures(simulation)
         self._track: list[Array] = []
         self._pieces = 0
 
@@ -55,7 +55,7 @@ class SceneView:
 
     def begin(self) -> None:
         """Show the start of an episode."""
-        self._web.show_world(*self._pictures.scenery(0))
+        self._web.show_world(*self.pictures.scenery(0))
         for piece in range(self._pieces + 1):
             self._web.show_lines(f"tracks/{piece}", np.zeros((0, 2, 3)), _TRACK)
         self._track, self._pieces = [], 0
@@ -73,11 +73,11 @@ class SceneView:
         eye = self.position - _BEHIND_M * ahead
         eye[2] = max(eye[2], self._ground(*eye[:2])) + _ABOVE_M
         reach_m = float(np.linalg.norm(eye - self.position))
-        return self._pictures.free_eye(0, self.position, eye, reach_m), self.target
+        return self.pictures.free_eye(0, self.position, eye, reach_m), self.target
 
     def update(self, *, shows_beams: bool = True, shows_ways: bool = True) -> None:
         """Show the present state."""
-        self._web.show_bodies(self._pictures.bodies_by_name(0))
+        self._web.show_bodies(self.pictures.bodies_by_name(0))
         self._show_returns(shows_beams)
         self._extend_track()
         self._show_ways(shows_ways)
@@ -158,14 +158,19 @@ class LivePage:
         self.playback = Playback()
         self.panel = Panel(self.server, self.playback)
         self._web = WebScene(self.server)
-        self._scene = SceneView(simulation, self._web, group, row)
+        self.scene_view = SceneView(simulation, self._web, group, row)
         self._simulation, self._group, self._row = simulation, group, row
         self._is_begun = False
         self._numbers_due_s = 0.0
         self._times_s: list[float] = []
         self._sums: list[Array] = []
         # The first view is of an episode's start: those who come later see the agent where it is.
-        self.server.on_client_connect(lambda client: self._scene.show_agent_to(client))
+        self.server.on_client_connect(lambda client: self.scene_view.show_agent_to(client))
+
+    @property
+    def is_watched(self) -> bool:
+        """Whether anybody has the page open."""
+        return bool(self.server.get_clients())
 
     def show(self, more: Sequence[tuple[str, str]] = (), headline: str = "") -> None:
         """Show the present state; `more` are names and values for the table beside those of the agent."""
@@ -173,13 +178,13 @@ class LivePage:
             self._is_begun = True
             self._times_s, self._sums = [], []
             self._numbers_due_s = 0.0
-            self._scene.begin()
-            self._web.follow(self._scene.target)
+            self.scene_view.begin()
+            self._web.follow(self.scene_view.target)
         else:
             with self.server.atomic():
-                self._scene.update(shows_beams=self.panel.shows_beams, shows_ways=self.panel.shows_ways)
+                self.scene_view.update(shows_beams=self.panel.shows_beams, shows_ways=self.panel.shows_ways)
             if self.panel.follows:
-                self._web.follow(self._scene.target)
+                self._web.follow(self.scene_view.target)
         self._show_numbers(more, headline)
 
     def _show_numbers(self, more: Sequence[tuple[str, str]], headline: str) -> None:

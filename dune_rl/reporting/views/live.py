@@ -50,11 +50,19 @@ class HandDriver:
 
 
 class LiveSession:
-    """Runs episodes of `view` on a page, one after another, as its controls say. `url` is its address."""
+    """Runs episodes of `view` on a `page`, one after another, as its controls say. `url` is its address.
+
+    `driver` is the name of what drives: a built-in policy, the checkpoint, or a hand on the page.
+    """
 
     def __init__(self, view: EpisodeView) -> None:
         conf = self._conf = view.conf
-        self._view = view
+        self.view = view
+        self._hand = HandDriver(view)
+        self._trained = f"checkpoint {checkpoint_name(Path(conf.checkpoint))}" if conf.checkpoint else None
+        self.driver = self._trained or conf.policy or "go_to_goal"
+        # Before there is a page: it may not fit.
+        self._policy: Policy | None = self._load(self.driver)
         self.page = LivePage(
             view.simulation,
             view.group,
@@ -65,10 +73,6 @@ class LiveSession:
         )
         self.url = self.page.url
         self._seed, self._episode = conf.seed, conf.episode
-        self._hand = HandDriver(view)
-        self._trained = None if conf.checkpoint is None else checkpoint_name(Path(conf.checkpoint))
-        self._driver = self._trained or conf.policy or "go_to_goal"
-        self._policy: Policy | None = None
         self._requests: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._steps: Iterator[bool] = iter(())
         self._ticks_left, self._is_done = 0, False
@@ -78,32 +82,36 @@ class LiveSession:
 
     def _add_controls(self) -> None:
         gui, ask = self.page.server.gui, self._requests.put
-        names = [*([self._trained] if self._trained else []), *BUILT_IN_POLICIES, BY_HAND]
+        names = [*([self._trained] if self._trained else []), *BUILT_IN_POLICIES]
+        if self.view.group.is_external:
+            names.append(BY_HAND)
         with gui.add_folder("Episode", order=STATE_ORDER - 2):
-            self._drivers = gui.add_dropdown("Driver", names, initial_value=self._driver)
-            self._drivers.on_update(lambda _: ask(lambda: self._choose(self._drivers.value)))
+            self.drivers = gui.add_dropdown("Driver", names, initial_value=self.driver)
+            self.drivers.on_update(lambda _: ask(lambda: self.choose(self.drivers.value)))
             # A set has one seed, and the settings are those of one of its episodes.
             is_free = self._conf.set is None
-            self._seed_input = gui.add_number(
+            self.seed_input = gui.add_number(
                 "Seed", self._seed, min=0, max=2**31 - 1, step=1, disabled=not is_free
             )
             reset = gui.add_button("Reset")
-            reset.on_click(lambda _: ask(self._reset))
+            reset.on_click(lambda _: ask(self.reset))
             if is_free:
                 following = gui.add_button("Next episode")
-                following.on_click(lambda _: ask(self._begin_next))
+                following.on_click(lambda _: ask(self.begin_next))
+        self.page.panel.add_key("Reset", "R", partial(ask, self.reset))
+        if not self.view.group.is_external:
+            return
         with gui.add_folder("Drive by hand", order=STATE_ORDER - 1, expand_by_default=False):
             gui.add_markdown("Keys: **I** faster, **K** slower, **J** left, **L** right, **O** stop")
             self._sliders = [self._add_slider(gui, part) for part in range(len(self._hand.action))]
         for key, (part, sign) in _KEYS.items():
             if part < len(self._sliders):
-                self.page.panel.add_key(f"Drive: {key}", key, partial(ask, partial(self._nudge, part, sign)))
-        self.page.panel.add_key("Stop", "O", partial(ask, self._stop))
-        self.page.panel.add_key("Reset", "R", partial(ask, self._reset))
+                self.page.panel.add_key(f"Drive: {key}", key, partial(ask, partial(self.nudge, part, sign)))
+        self.page.panel.add_key("Stop", "O", partial(ask, self.stop))
 
     def _add_slider(self, gui: Any, part: int) -> Any:
         low, high = float(self._hand.low[part]), float(self._hand.high[part])
-        named = self._view.group.has_speed_and_heading or len(self._hand.action) == len(_NAMES)
+        named = self.view.group.has_speed_and_heading or len(self._hand.action) == len(_NAMES)
         name = _NAMES[part] if named else f"action {part}"
         start = float(self._hand.action[part])
         slider = gui.add_slider(name, low, high, (high - low) / 200, start)
@@ -116,14 +124,15 @@ class LiveSession:
         if event.client is not None:
             self._take_over()
 
-    def _nudge(self, part: int, sign: int) -> None:
+    def nudge(self, part: int, sign: int) -> None:
         """Change an action of the agent by a key."""
         low, high = self._hand.low[part], self._hand.high[part]
         value = self._hand.action[part] + sign * _KEY_SHARE * (high - low)
         self._set_action(part, float(np.clip(value, low, high)))
         self._take_over()
 
-    def _stop(self) -> None:
+    def stop(self) -> None:
+        """Let the agent stand still."""
         for part, value in enumerate(self._hand.rest.tolist()):
             self._set_action(part, value)
         self._take_over()
@@ -133,26 +142,26 @@ class LiveSession:
         self._sliders[part].value = value
 
     def _take_over(self) -> None:
-        if self._driver != BY_HAND:
-            self._drivers.value = BY_HAND
-            self._choose(BY_HAND)
+        if self.driver != BY_HAND:
+            self.drivers.value = BY_HAND
+            self.choose(BY_HAND)
 
-    def _choose(self, name: str) -> None:
+    def choose(self, name: str) -> None:
         """Let another driver drive; where it cannot, the page says why, and the last one goes on."""
-        if name == self._driver:
+        if name == self.driver:
             return
         try:
             self._policy = self._load(name)
         except ConfigError as error:
             self._say(f"{name} cannot drive here", str(error))
-            self._drivers.value = self._driver
+            self.drivers.value = self.driver
             return
-        self._driver = name
+        self.driver = name
 
     def _load(self, name: str) -> Policy:
         if name == BY_HAND:
             return self._hand
-        return self._view.make_policy() if name == self._trained else self._view.load_policy(name)
+        return self.view.make_policy() if name == self._trained else self.view.load_policy(name)
 
     def _say(self, title: str, text: str) -> None:
         for client in self.page.server.get_clients().values():
@@ -160,52 +169,55 @@ class LiveSession:
 
     # -- episodes ---------------------------------------------------------------------------------
 
-    def _reset(self) -> None:
+    def reset(self) -> None:
         """Begin the first episode of the seed on the page or, without a change of it, the present one."""
-        seed = int(self._seed_input.value)
+        seed = int(self.seed_input.value)
         if seed != self._seed:
             self._seed, self._episode = seed, 0
-        self._begin()
+        self.begin()
 
-    def _begin_next(self) -> None:
+    def begin_next(self) -> None:
+        """Begin the next episode of the seed, or the same one of a set."""
         self._episode += self._conf.set is None
-        self._begin()
+        self.begin()
 
-    def _begin(self) -> None:
+    def begin(self) -> None:
+        """Begin the present episode."""
         self._policy = None
-        self._steps = self._view.run(self._seed, self._episode, self._drive)
+        self._steps = self.view.run(self._seed, self._episode, self._drive)
         next(self._steps)
         self._is_done = False
         self.page.show(self._rows())
 
     def _drive(self, observation: TensorDictBase) -> TensorDictBase:
         if self._policy is None:
-            self._policy = self._load(self._driver)
+            self._policy = self._load(self.driver)
         return self._policy(observation)
 
     def _rows(self) -> list[tuple[str, str]]:
-        title = f"{self._episode} of seed {self._seed}"
-        return [("episode", title), ("driver", self._driver)]
+        of = f"seed {self._seed}" if self._conf.set is None else Path(self._conf.set).stem
+        return [("episode", f"{self._episode} of {of}"), ("driver", self.driver)]
 
     def run(self, is_over: Callable[[], bool] = lambda: False) -> None:
-        """Run episodes until `is_over`."""
+        """Run episodes until `is_over`; time stands still while nobody looks."""
         step_s = 1.0 / self._conf.physics.decision_hz
-        self._begin()
+        self.begin()
         while not is_over():
             while not self._requests.empty():
                 self._requests.get()()
-            if not self.page.playback.is_due(step_s):
+            if not self.page.is_watched or not self.page.playback.is_due(step_s):
                 time.sleep(_NAP_S)
             elif not self._is_done:
-                self._step()
-            elif self._ticks_left:
+                self.step()
+            elif self._ticks_left and not self.page.playback.is_paused:
                 self._ticks_left -= 1
             else:
-                self._begin_next()
+                self.begin_next()
 
-    def _step(self) -> None:
+    def step(self) -> None:
+        """Take a step of the episode."""
         self._is_done = next(self._steps)
-        self.page.show(self._rows(), self._view.ending())
+        self.page.show(self._rows(), self.view.ending())
         self._ticks_left = round(_END_S * self._conf.physics.decision_hz * self.page.playback.speed)
 
     def close(self) -> None:
