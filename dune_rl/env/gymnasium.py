@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.core.errors import ConfigError
+from dune_rl.env.live.view import LivePage
 from dune_rl.env.observation_layout import Observation
 from dune_rl.env.pettingzoo import ParallelDuneEnv
 from dune_rl.env.registration import RENDER_METADATA
@@ -60,6 +61,11 @@ class GymnasiumEnv(CopiedByReplay, gymnasium.Env):  # type: ignore[misc]
         if not observations:
             raise gymnasium.error.ResetNeeded("the episode has ended: call reset() before step()")
         return observations[agent], rewards[agent], terminations[agent], truncations[agent], infos[agent]
+
+    @property
+    def page(self) -> LivePage | None:
+        """The page of `render_mode="human"`, once an episode has begun."""
+        return self._parallel.page
 
     def render(self) -> NDArray[np.uint8] | None:
         """RGB (480, 640, 3) of the agent from behind, where `render_mode` is "rgb_array".

@@ -70,7 +70,7 @@ class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": simulation.physics.decision_hz}
         self._pictures = Pictures(simulation)
-        self._page: LivePage | None = None
+        self.page: LivePage | None = None
         if render_mode == "human":
             require_viser("render_mode='human'")
         self.possible_agents = list(simulation.agents)
@@ -204,10 +204,10 @@ class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
     def _show(self) -> None:
         if self.render_mode != "human":
             return
-        if self._page is None:
-            self._page = LivePage(self.simulation, self.simulation.group(), 0, announces=True)
-        self._page.show()
-        self._page.playback.wait(1.0 / self.simulation.physics.decision_hz)
+        if self.page is None:
+            self.page = LivePage(self.simulation, self.simulation.group(), 0, announces=True)
+        self.page.show()
+        self.page.playback.wait(1.0 / self.simulation.physics.decision_hz)
 
     def state(self) -> Floats:
         """The true state of all groups, scripted ones as well, in `state_space`: what no agent observes.
@@ -240,7 +240,7 @@ class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
 
     def close(self) -> None:
         """Release the physics engine, and close the page."""
-        if self._page is not None:
-            self._page.close()
-            self._page = None
+        if self.page is not None:
+            self.page.close()
+            self.page = None
         self.simulation.close()
