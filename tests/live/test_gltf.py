@@ -1,4 +1,4 @@
-"""Binary glTF: what is written is read back by trimesh, and animations are where the specification has them."""
+"""Binary glTF: trimesh reads back what is written, and animations are where the specification has them."""
 
 import json
 import struct
