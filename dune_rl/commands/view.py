@@ -101,9 +101,12 @@ def _view(conf: ViewConf, plan: "EpisodePlan | None") -> None:
     from dune_rl.reporting.views.episode import EpisodeView, write_orbit, write_sheet, write_video
 
     if conf.view in ("live", "html"):
-        from dune_rl.rendering.web.server import require_viser
+        from dune_rl.rendering.web.server import check_address, require_viser
 
+        # Before the world is built, which may take a while.
         require_viser(f"view={conf.view}")
+        if conf.view == "live":
+            check_address(conf.host, conf.port)
     episode = EpisodeView(conf, plan)
     try:
         if conf.view == "live":

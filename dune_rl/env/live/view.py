@@ -24,6 +24,8 @@ _POINT: Colour = (90, 200, 255)
 _MOST_POINTS, _POINT_M = 2_500, 0.025
 _TRACK: Colour = (255, 120, 20)
 _WAY: Colour = (150, 160, 175)
+# Of ways with more points some are left out.
+_MOST_WAY_POINTS = 150
 # Lines on the ground are drawn this far above it.
 _ABOVE_GROUND_M = 0.06
 # Numbers and plots are written this often at most, in the viewer's time.
@@ -95,7 +97,7 @@ class SceneView:
                 if isinstance(conf, LidarConf):
                     beams.append(np.stack([np.broadcast_to(origin, ends.shape), ends], axis=1))
                 else:
-                    points.append(ends[:: -(-len(ends) // _MOST_POINTS)])
+                    points.append(ends[:: 1 + len(ends) // _MOST_POINTS])
         self._web.show_lines("beams", np.concatenate(beams), _BEAM, width=1.0)
         self._web.show_points("points", np.concatenate(points), position, _POINT, _POINT_M)
 
@@ -109,13 +111,13 @@ class SceneView:
             self._pieces, self._track = self._pieces + 1, self._track[-1:]
 
     def _show_ways(self, is_shown: bool) -> None:
-        """Draw the paths that agents walk now, and a line to the goals of those that steer."""
+        """Draw the paths on which agents are now."""
         ways = [np.zeros((0, 2, 3))]
         for group in self._simulation.groups if is_shown else ():
             for agent in group.agents_of(0):
                 way = group.starts.present_path(agent)
                 if way is not None:
-                    ways.append(_segments(self._on_ground(way[::4])))
+                    ways.append(_segments(self._on_ground(way[:: 1 + len(way) // _MOST_WAY_POINTS])))
         self._web.show_lines("ways", np.concatenate(ways), _WAY, width=1.5)
 
     def _ground(self, x: float, y: float) -> float:
@@ -164,8 +166,12 @@ class LivePage:
         self._numbers_due_s = 0.0
         self._times_s: list[float] = []
         self._sums: list[Array] = []
-        # The first view is of an episode's start: those who come later see the agent where it is.
-        self.server.on_client_connect(lambda client: self.scene_view.show_agent_to(client))
+        self.server.on_client_connect(self._welcome)
+
+    def _welcome(self, client: Any) -> None:
+        """Let a visitor who comes amid an episode see the agent where it is."""
+        if self._is_begun:
+            self.scene_view.show_agent_to(client)
 
     @property
     def is_watched(self) -> bool:
@@ -175,11 +181,12 @@ class LivePage:
     def show(self, more: Sequence[tuple[str, str]] = (), headline: str = "") -> None:
         """Show the present state; `more` are names and values for the table beside those of the agent."""
         if not self._is_begun or not self._simulation.steps[0]:
-            self._is_begun = True
             self._times_s, self._sums = [], []
             self._numbers_due_s = 0.0
             self.scene_view.begin()
-            self._web.follow(self.scene_view.target)
+            if self._is_begun:
+                self._web.follow(self.scene_view.target)
+            self._is_begun = True
         else:
             with self.server.atomic():
                 self.scene_view.update(shows_beams=self.panel.shows_beams, shows_ways=self.panel.shows_ways)

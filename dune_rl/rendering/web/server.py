@@ -30,7 +30,7 @@ def open_server(host: str, port: int, title: str, *, announces: bool = False) ->
     """
     from viser import ViserServer
 
-    _check_address(host, port)
+    check_address(host, port)
     # It writes a banner in any case.
     with contextlib.nullcontext() if announces else contextlib.redirect_stdout(io.StringIO()):
         server = ViserServer(host, port, label=title, verbose=announces)
@@ -52,13 +52,13 @@ def free_port(host: str = LOCALHOST, first: int = FIRST_PORT) -> int:
     """The first free port of a host from `first` on; raises ConfigError where 100 are taken."""
     for port in range(first, first + 100):
         with contextlib.suppress(ConfigError):
-            _check_address(host, port)
+            check_address(host, port)
             return port
     raise ConfigError(f"the ports {first} to {first + 99} of {host} are all taken: end what listens there")
 
 
-def _check_address(host: str, port: int) -> None:
-    """Raise ConfigError, which says what to do, unless a server can listen there."""
+def check_address(host: str, port: int) -> None:
+    """Raise ConfigError, which says what to do, unless a server can listen on `port` of `host`."""
     try:
         family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, kind) as probe:
