@@ -89,8 +89,8 @@ def parallel_env(
     configuration: a name chooses an option (`task="paper"`), a mapping changes values (`world={"name":
     "flat", "friction": 0.5}`). `overrides` are command-line words (`["world.friction=0.5"]`). `config_dirs`
     are further folders of options, as `--config-dir` has them. With `render_mode="rgb_array"`, `render()`
-    gives a picture of the first agent; with "human" a window shows it. With `flatten=True` an observation is
-    one vector in place of a dict. Raises `ConfigError` naming every fault.
+    gives a picture of the first agent; with "human" a page in a browser shows the scene. With `flatten=True`
+    an observation is one vector in place of a dict. Raises `ConfigError` naming every fault.
     """
     from dune_rl.config.build import make_parallel_env
     from dune_rl.config.compose import compose_environment

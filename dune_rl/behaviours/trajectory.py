@@ -129,6 +129,10 @@ class TrajectoryFollower:
         bank = self._banks[self._worlds[scene]]
         return [bank.poses[bank.starts[agent] : bank.ends[agent], :2]]
 
+    def present_path(self, agent: int, scene: int = 0) -> Array:
+        """The way-points (P, 2) [m] of an agent of a scene."""
+        return self.paths(agent, scene)[0]
+
     def start_poses(self, world: World) -> Array:
         """Poses (G, 4) at the start of an episode in `world`."""
         poses = self._banks[world].poses_at(np.zeros(self.count))

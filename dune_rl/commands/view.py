@@ -14,6 +14,7 @@ from dune_rl.learning.checkpoint import read_policy_file
 
 if TYPE_CHECKING:
     from dune_rl.env.requests import EpisodePlan
+    from dune_rl.reporting.views.episode import EpisodeView
 
 
 def run(words: Sequence[str]) -> None:
@@ -101,8 +102,18 @@ def _view(conf: ViewConf, plan: "EpisodePlan | None") -> None:
     from dune_rl.reporting.views.episode import EpisodeView, write_orbit, write_sheet
     from dune_rl.reporting.views.film import write_video
 
+    if conf.view in ("live", "html"):
+        from dune_rl.rendering.web.server import check_address, require_viser
+
+        # Before the world is built, which may take a while.
+        require_viser(f"view={conf.view}")
+        if conf.view == "live":
+            check_address(conf.host, conf.port)
     episode = EpisodeView(conf, plan)
     try:
+        if conf.view == "live":
+            _watch(episode, console)
+            return
         # Only now, when nothing is wrong with the settings.
         folder.mkdir(parents=True, exist_ok=True)
         command_line.print_world_notes(console, conf)
@@ -115,8 +126,27 @@ def _view(conf: ViewConf, plan: "EpisodePlan | None") -> None:
         if conf.view in ("video", "both"):
             path = folder / f"{_film_stem(conf)}.mp4"
             _print_path(console, write_video(episode, path, console))
+        if conf.view in ("html", "gltf"):
+            from dune_rl.reporting.views.scene_files import SCENE_WRITERS
+
+            suffix, write_scene = SCENE_WRITERS[conf.view]
+            _print_note(console, f"Recording an episode of at most {conf.longest_s:g} s.")
+            _print_path(console, write_scene(episode, folder / f"{_film_stem(conf)}.{suffix}"))
     finally:
         episode.close()
+
+
+def _watch(episode: "EpisodeView", console: Console) -> None:
+    """Run episodes on a live page until Ctrl-C."""
+    from dune_rl.reporting.views.live import LiveSession
+
+    session = LiveSession(episode)
+    try:
+        command_line.print_world_notes(console, episode.conf)
+        _print_note(console, f"Open {session.url} in a browser. Ctrl-C ends.")
+        session.run()
+    finally:
+        session.close()
 
 
 def _print_note(console: Console, text: str) -> None:

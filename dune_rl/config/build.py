@@ -31,9 +31,9 @@ from dune_rl.env.domain_randomizer import DomainRandomizer
 from dune_rl.env.gymnasium import GymnasiumEnv
 from dune_rl.env.gymnasium_vector import GymnasiumVectorEnv
 from dune_rl.env.pettingzoo import ParallelDuneEnv
+from dune_rl.env.render_mode import RenderMode
 from dune_rl.env.requests import EpisodePlan
 from dune_rl.env.simulation import VectorSimulation
-from dune_rl.env.window import RenderMode
 from dune_rl.geometry.arrays import Array, Flags
 from dune_rl.physics.interface import scene_maker
 from dune_rl.robots.registry import ROBOTS

@@ -40,13 +40,13 @@ class BenchmarkConf(EnvConf):
 
 
 BuiltInPolicy = Literal["dwa", "dwa_oracle", "go_to_goal", "mppi", "oracle", "planner", "random"]
-_BUILT_IN_POLICIES = get_args(BuiltInPolicy)
+BUILT_IN_POLICIES = get_args(BuiltInPolicy)
 
 
 class ViewConf(EnvConf):
-    """A look at an environment: pictures and a film of `agent` (None: the first)."""
+    """A look at an environment and at `agent` (None: the first), in pictures, a film, a page or a 3D file."""
 
-    view: Literal["sheet", "video", "both", "orbit", "map"] = "both"
+    view: Literal["sheet", "video", "both", "orbit", "map", "live", "html", "gltf"] = "both"
     checkpoint: str | None = None
     policy: BuiltInPolicy | None = None
     agent: str | None = None
@@ -61,6 +61,8 @@ class ViewConf(EnvConf):
     samples: int = Field(2, ge=1, le=4)
     episodes: int = Field(5, ge=1, le=100)
     dpi: int = Field(160, ge=72, le=600)
+    host: str = Field("127.0.0.1", min_length=1)
+    port: int = Field(8080, ge=1, le=65_535)
     out: str = Field("views", min_length=1)
 
     @model_validator(mode="after")
@@ -207,7 +209,7 @@ class EvaluateConf(EnvConf):
     def _known_policies(self) -> Self:
         for key, names in (("policy", self.policy), ("against", self.against)):
             for name in names:
-                if name in _BUILT_IN_POLICIES or ":" in name or name.endswith(".onnx"):
+                if name in BUILT_IN_POLICIES or ":" in name or name.endswith(".onnx"):
                     continue
                 if name.endswith(".zip"):
                     raise ValueError(
@@ -216,9 +218,9 @@ class EvaluateConf(EnvConf):
                     )
                 if "/" in name or name.endswith(".pt"):
                     raise ValueError(f"{key}: {name} is no policy; did you mean checkpoint={name}?")
-                near = closest(name, _BUILT_IN_POLICIES)
+                near = closest(name, BUILT_IN_POLICIES)
                 meant = f"did you mean {near}? There are" if near else "there are"
-                known = ", ".join((*_BUILT_IN_POLICIES, "FILE.onnx", "MODULE:FUNCTION"))
+                known = ", ".join((*BUILT_IN_POLICIES, "FILE.onnx", "MODULE:FUNCTION"))
                 raise ValueError(f"{key}: {name} is no policy; {meant} {known}")
         return self
 
@@ -270,7 +272,7 @@ class EvaluateConf(EnvConf):
             (bool(fault), fault),
             (
                 not (self.checkpoint or self.policy),
-                f"choose a policy: checkpoint=PATH, or policy=NAME with {', '.join(_BUILT_IN_POLICIES)}, "
+                f"choose a policy: checkpoint=PATH, or policy=NAME with {', '.join(BUILT_IN_POLICIES)}, "
                 "FILE.onnx or MODULE:FUNCTION",
             ),
         )

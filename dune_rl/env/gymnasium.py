@@ -7,12 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.core.errors import ConfigError
+from dune_rl.env.live.view import LivePage
 from dune_rl.env.observation_layout import Observation
 from dune_rl.env.pettingzoo import ParallelDuneEnv
 from dune_rl.env.registration import RENDER_METADATA
+from dune_rl.env.render_mode import RenderMode
 from dune_rl.env.replay import CopiedByReplay, gymnasium_state
 from dune_rl.env.simulation import VectorSimulation
-from dune_rl.env.window import RenderMode
 
 
 class GymnasiumEnv(CopiedByReplay, gymnasium.Env):  # type: ignore[misc]
@@ -61,10 +62,15 @@ class GymnasiumEnv(CopiedByReplay, gymnasium.Env):  # type: ignore[misc]
             raise gymnasium.error.ResetNeeded("the episode has ended: call reset() before step()")
         return observations[agent], rewards[agent], terminations[agent], truncations[agent], infos[agent]
 
+    @property
+    def page(self) -> LivePage | None:
+        """The page of `render_mode="human"`, once an episode has begun."""
+        return self._parallel.page
+
     def render(self) -> NDArray[np.uint8] | None:
         """RGB (480, 640, 3) of the agent from behind, where `render_mode` is "rgb_array".
 
-        With "human", a window shows it at every step, and None is returned.
+        With "human", a page in a browser shows each step, in real time, and None is returned.
         """
         return self._parallel.render()
 

@@ -14,9 +14,9 @@ from dune_rl.env.arguments import action_numbers, check_whole, combined_seed
 from dune_rl.env.infos import EpisodeInfos
 from dune_rl.env.observation_layout import ObservationLayout, box
 from dune_rl.env.pictures import Pictures
+from dune_rl.env.render_mode import RenderMode, check_render_mode
 from dune_rl.env.replay import CopiedByReplay, gymnasium_state
 from dune_rl.env.simulation import SimulationStep, VectorSimulation
-from dune_rl.env.window import RenderMode, check_render_mode
 from dune_rl.geometry.arrays import Array, Flags, Floats
 
 Observations = dict[str, NDArray[Any]] | Floats

@@ -14,14 +14,16 @@ from dune_rl.core.seeding import stream
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.arguments import agent_action, check_whole
 from dune_rl.env.infos import EpisodeInfos
+from dune_rl.env.live.view import LivePage
 from dune_rl.env.observation_layout import Observation, ObservationLayout, box
 from dune_rl.env.pictures import Pictures
 from dune_rl.env.registration import RENDER_MODES
+from dune_rl.env.render_mode import RenderMode, check_render_mode
 from dune_rl.env.replay import CopiedByReplay
 from dune_rl.env.requests import parse_options
 from dune_rl.env.simulation import SimulationStep, VectorSimulation
-from dune_rl.env.window import RenderMode, Window, check_render_mode
 from dune_rl.geometry.arrays import Floats
+from dune_rl.rendering.web.server import require_viser
 
 # Numbers of each agent in the state.
 _STATE_SIZE = 14
@@ -68,8 +70,9 @@ class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": simulation.physics.decision_hz}
         self._pictures = Pictures(simulation)
-        fps = max(1, round(simulation.physics.decision_hz))
-        self._window = Window("dune_rl", fps) if render_mode == "human" else None
+        self.page: LivePage | None = None
+        if render_mode == "human":
+            require_viser("render_mode='human'")
         self.possible_agents = list(simulation.agents)
         self.agents: list[str] = []
         # Wrappers draw from it, SuperSuit's frame_skip_v0 for one; no episode depends on it.
@@ -191,7 +194,7 @@ class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
     def render(self) -> NDArray[np.uint8] | None:
         """RGB image (480, 640, 3) from behind the first agent, where `render_mode` is "rgb_array".
 
-        With "human", a window shows it at every step, and None is returned.
+        With "human", a page in a browser shows each step, in real time, and None is returned.
         """
         if self.render_mode != "rgb_array":
             return None
@@ -199,8 +202,12 @@ class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
         return self._pictures.from_behind()
 
     def _show(self) -> None:
-        if self._window is not None:
-            self._window.show(self._pictures.from_behind())
+        if self.render_mode != "human":
+            return
+        if self.page is None:
+            self.page = LivePage(self.simulation, self.simulation.group(), 0, announces=True)
+        self.page.show()
+        self.page.playback.wait(1.0 / self.simulation.physics.decision_hz)
 
     def state(self) -> Floats:
         """The true state of all groups, scripted ones as well, in `state_space`: what no agent observes.
@@ -232,7 +239,8 @@ class ParallelDuneEnv(CopiedByReplay, ParallelEnv):  # type: ignore[misc]
         self.__dict__.update(own)
 
     def close(self) -> None:
-        """Release the physics engine, and close the window."""
-        if self._window is not None:
-            self._window.close()
+        """Release the physics engine, and close the page."""
+        if self.page is not None:
+            self.page.close()
+            self.page = None
         self.simulation.close()

@@ -11,8 +11,10 @@ from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.shared_per_scene import DerivedCache
+from dune_rl.rendering.baked_scenery import BakedScenery
 from dune_rl.rendering.light import srgb_to_linear
 from dune_rl.rendering.moving_mesh import PosedMesh, RayMesh
+from dune_rl.rendering.participating_media import ParticipatingMedia
 from dune_rl.rendering.renderer import Renderer, Viewpoint
 from dune_rl.rendering.scenery import ColouredMesh, Segment, join_meshes
 from dune_rl.worlds.appearance import bake_in_weather
@@ -61,14 +63,24 @@ class Pictures:
 
     def bodies(self, scene: int) -> list[PosedMesh]:
         """The agents of all groups, and a flag at the goal of each robot."""
-        found: list[PosedMesh] = []
+        return [part for parts in self.bodies_by_name(scene).values() for part in parts]
+
+    def bodies_by_name(self, scene: int) -> dict[str, list[PosedMesh]]:
+        """The parts of each agent that is there, by its name, and flags as those of goal_of_NAME."""
+        agents: dict[str, list[PosedMesh]] = {}
+        flags: dict[str, list[PosedMesh]] = {}
         for group in self._simulation.groups:
             for row in self._rows(scene, group):
-                found += group.body.pictures(row)
-        for group in self._simulation.groups:
-            if group.task is not None and group.description.is_robot:
-                found += [self._flag_at(scene, group.starts.goals_w[row]) for row in self._rows(scene, group)]
-        return found
+                name = group.names[row - scene * group.count]
+                agents[name] = group.body.pictures(row)
+                if group.task is not None and group.description.is_robot:
+                    flags[f"goal_of_{name}"] = [self._flag_at(scene, group.starts.goals_w[row])]
+        return agents | flags
+
+    def scenery(self, scene: int) -> tuple[BakedScenery, ParticipatingMedia]:
+        """A scene's world in the light of its weather, and what is in the air."""
+        look = self._simulation.worlds.appearances[scene]
+        return bake_in_weather(look.world, look.weather), look.media
 
     def _rows(self, scene: int, group: AgentGroup) -> list[int]:
         """Rows of the agents that are in a scene."""
@@ -110,7 +122,7 @@ class Pictures:
         for turn in np.deg2rad(_TURNS_DEG):
             forward = np.array([np.cos(yaw + turn), np.sin(yaw + turn), 0.0])
             eye = position - (_BEHIND_M + more) * forward + [0.0, 0.0, _ABOVE_M + more]
-            eye = self._free_eye(scene, position, eye, _FARTHEST_EYE_M + 1.5 * more)
+            eye = self.free_eye(scene, position, eye, _FARTHEST_EYE_M + 1.5 * more)
             look_m = _LOOK_AHEAD_M * max(np.cos(turn), 0.0)
             views.append((eye, position + look_m * ahead + [0.0, 0.0, 0.5 * more]))
             if not _is_hidden(position, eye, others):
@@ -148,7 +160,7 @@ class Pictures:
         """RGB (height, width, 3) of a moment of a scene's episode, from behind its agent and above."""
         ahead = np.array([np.cos(moment.yaw), np.sin(moment.yaw), 0.0])
         eye = moment.position - _BEHIND_M * ahead + [0.0, 0.0, _ABOVE_M]
-        eye = self._free_eye(scene, moment.position, eye, _FARTHEST_EYE_M)
+        eye = self.free_eye(scene, moment.position, eye, _FARTHEST_EYE_M)
         view = Viewpoint(tuple(eye), tuple(moment.position + _LOOK_AHEAD_M * ahead), 1.05)
         return self._painters[scene].render(view, width, height, moment.bodies, samples)
 
@@ -196,8 +208,8 @@ class Pictures:
     def _ground(self, scene: int, xy: Array) -> float:
         return float(self._simulation.worlds.worlds[scene].terrain.height(xy))
 
-    def _free_eye(self, scene: int, position: Array, eye: Array, farthest_m: float) -> Array:
-        """The point nearest to `eye` from which the agent is in sight, above the ground."""
+    def free_eye(self, scene: int, position: Array, eye: Array, farthest_m: float) -> Array:
+        """The point nearest to `eye` from which an agent at `position` is in sight, above the ground."""
         start = position + np.array([0.0, 0.0, 0.45])
         # From behind; where a wall leaves no room there, from ever higher up.
         ways = eye - start + np.outer([0.0, 1.0, 2.5, 40.0], [0.0, 0.0, _ABOVE_M])
@@ -205,7 +217,7 @@ class Pictures:
         lengths = np.minimum(lengths, np.float32(farthest_m))
         ways /= np.linalg.norm(ways, axis=1, keepdims=True)
         reach = lengths.copy()
-        self._painters[scene].baked.rays.shorten_ranges(
+        self.scenery(scene)[0].rays.shorten_ranges(
             start[None].astype(np.float32), ways.astype(np.float32), reach
         )
         free = np.maximum(reach - np.float32(_CLEAR_OF_WALLS_M), 0.0)

@@ -7,8 +7,8 @@ import gymnasium
 
 from dune_rl.core import plugins
 
-# A window needs pygame; Gymnasium's own check of environments tries every mode that is named here.
-RENDER_MODES = ["human", "rgb_array"] if importlib.util.find_spec("pygame") else ["rgb_array"]
+# A live page needs viser; Gymnasium's own check of environments tries every mode that is named here.
+RENDER_MODES = ["human", "rgb_array"] if importlib.util.find_spec("viser") else ["rgb_array"]
 # `gymnasium.make` reads it from the entry point, before there is an environment.
 RENDER_METADATA = {"render_modes": RENDER_MODES, "render_fps": 20}
 

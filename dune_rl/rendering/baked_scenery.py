@@ -34,7 +34,8 @@ class BakedScenery:
     """Colours and segments of a `Scenery` at any point that a ray hits.
 
     `rays` has the ground's faces first, then those of the props. `texture` is
-    the props' textures, None without any. `get_or_compute(name, make)` may
+    the props' textures, None without any; `light_on_props` is the light that a white face of each would
+    reflect, where there are any. `get_or_compute(name, make)` may
     cache arrays, which depend on the scenery but not on the light.
     """
 
@@ -113,7 +114,7 @@ class BakedScenery:
         sun = sunlit(self.rays, self.light, self._props_centres(), normals)
         if self.texture is not None:
             white = np.ones_like(props.albedo)
-            self._light_on_props = self.light.shade(white, normals, sun, self.props_sky_share)
+            self.light_on_props = self.light.shade(white, normals, sun, self.props_sky_share)
         return to_srgb_bytes(self.light.shade(props.albedo, normals, sun, self.props_sky_share))
 
     def _props_sky_share(self) -> Floats:
@@ -122,7 +123,7 @@ class BakedScenery:
     def textured_colours(self, face: NDArray[Any], points: Floats, pixel_m: Floats) -> NDArray[np.uint8]:
         """SRGB bytes (N, 3) at `points` (N, 3) on textured faces `face` (N,) of props; `pixel_m` is (N,)."""
         assert self.texture is not None
-        return to_srgb_bytes(self.texture.albedo(face, points, pixel_m) * self._light_on_props[face])
+        return to_srgb_bytes(self.texture.albedo(face, points, pixel_m) * self.light_on_props[face])
 
 
 def to_srgb_bytes(colour: Floats) -> NDArray[np.uint8]:

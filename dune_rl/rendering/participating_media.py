@@ -16,7 +16,7 @@ TONES, BRIGHTEST = 4096, 4.0
 _LINEAR = np.linspace(0.0, BRIGHTEST, TONES, dtype=np.float32)
 _ENCODED = tone_map_to_srgb(_LINEAR) * np.float32(255.0)
 TONES_TO_BYTES = (_ENCODED + np.float32(0.5)).astype(np.uint8)
-_FROM_BYTES = np.interp(np.arange(256), _ENCODED, _LINEAR).astype(np.float32)
+TONES_FROM_BYTES = np.interp(np.arange(256), _ENCODED, _LINEAR).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ class ParticipatingMedia:
         `colours` (N, 3) are sRGB bytes without media, `ranges` (N,) [m] distances. `nothing` (N,) marks rays
         to the sky, whose colour includes the haze. Mixing is done in linear RGB.
         """
-        mixed = _FROM_BYTES.take(colours)
+        mixed = TONES_FROM_BYTES.take(colours)
         if self.haze is not None:
             mixed = self.haze.blend_over(mixed, np.where(nothing, np.float32(0.0), ranges))
         if transmission is not None:

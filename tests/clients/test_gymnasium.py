@@ -1,7 +1,6 @@
 """Gymnasium's own wrappers, checks, recorders and vector environments on an environment of ours."""
 
 import json
-import os
 from pathlib import Path
 
 import gymnasium
@@ -149,30 +148,27 @@ def test_films(tmp_path: Path) -> None:
         assert film.size == [640, 480] and film.fps == 20.0 and film.get_frame(0.1).std() > 5.0
 
 
-@pytest.mark.client("pygame", '`render_mode="human"`: a window', "gymnasium.make")
-def test_a_window(monkeypatch) -> None:
-    import pygame
+@pytest.mark.client("viser", '`render_mode="human"`: a page in a browser', "gymnasium.make")
+def test_a_page() -> None:
+    from urllib.request import urlopen
 
-    monkeypatch.setitem(os.environ, "SDL_VIDEODRIVER", "dummy")
     env = gymnasium.make(ID, render_mode="human")
     env.reset(seed=0)
     env.step(env.action_space.sample())
     assert env.render() is None
-    surface = pygame.display.get_surface()
-    shown = pygame.surfarray.array3d(surface).swapaxes(0, 1)
-    other = gymnasium.make(ID, render_mode="rgb_array")
-    other.reset(seed=0)
-    assert shown.shape == other.render().shape and shown.std() > 5.0
+    url = env.unwrapped.page.url
+    with urlopen(url) as response:
+        assert response.status == 200 and b"<html" in response.read()
     env.close()
-    assert pygame.display.get_surface() is None
-    other.close()
+    with pytest.raises(OSError, match="refused"):
+        urlopen(url)
 
 
-def test_without_pygame_there_is_no_window(monkeypatch) -> None:
+def test_without_viser_there_is_no_page(monkeypatch) -> None:
     import sys
 
-    monkeypatch.setitem(sys.modules, "pygame", None)
-    with pytest.raises(dune_rl.ConfigError, match="pip install pygame"):
+    monkeypatch.setitem(sys.modules, "viser", None)
+    with pytest.raises(dune_rl.ConfigError, match=r"render_mode='human' needs viser: .*dune_rl\[live\]"):
         dune_rl.parallel_env("flat", 0, render_mode="human")
 
 

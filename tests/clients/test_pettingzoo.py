@@ -1,6 +1,5 @@
 """PettingZoo's own tests and conversions on an environment of ours."""
 
-import os
 from functools import partial
 
 import numpy as np
@@ -61,13 +60,12 @@ def test_conversions() -> None:
 
 
 @pytest.mark.client(
-    "PettingZoo", "`render_test`, `test_parallel_env` of `state()`", "dune_rl.parallel_env", needs=["pygame"]
+    "PettingZoo", "`render_test`, `test_parallel_env` of `state()`", "dune_rl.parallel_env", needs=["viser"]
 )
-def test_pettingzoo_s_render_and_state_tests(monkeypatch) -> None:
+def test_pettingzoo_s_render_and_state_tests() -> None:
     from pettingzoo.test.render_test import render_test
     from pettingzoo.test.state_test import test_parallel_env as check_state
 
-    monkeypatch.setitem(os.environ, "SDL_VIDEODRIVER", "dummy")
     render_test(
         lambda render_mode=None: parallel_to_aec(dune_rl.parallel_env("flat", 0, render_mode=render_mode))
     )

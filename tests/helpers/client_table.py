@@ -22,7 +22,7 @@ CLIENTS = {
     "SuperSuit": "SuperSuit",
     "BenchMARL": "benchmarl",
     "MoviePy": "moviepy",
-    "pygame": "pygame",
+    "viser": "viser",
     "Hydra: joblib": "hydra-joblib-launcher",
     "Hydra: submitit": "hydra-submitit-launcher",
     "Hydra: Optuna": "hydra-optuna-sweeper",

@@ -190,6 +190,13 @@ class PathFollower:
         starts, counts = bank.starts[choices[agent]], counts if self.conf.mode == "loop" else counts // 2 + 1
         return [bank.poses[start : start + n, :2] for start, n in zip(starts, counts, strict=True)]
 
+    def present_path(self, agent: int, scene: int = 0) -> Array:
+        """The loop (P, 2) [m] that an agent of a scene is on."""
+        bank = self._paths[self._worlds[scene]].bank
+        loop = int(self._loop[scene, agent])
+        first = int(bank.starts[loop])
+        return bank.poses[first : first + int(bank.lengths[loop]), :2]
+
     def reset(
         self,
         scene: int,

@@ -43,6 +43,9 @@ class _FollowerStarts(StartSource):
         """The paths (P, 2) [m] of an agent in scene 0."""
         return self.follower.paths(agent)
 
+    def present_path(self, agent: int) -> Array | None:
+        return self.follower.present_path(agent)
+
 
 class PathStarts(_FollowerStarts):
     """Agents start on their paths; goals are the far end of an agent's path, then its start, and so on.

@@ -118,3 +118,7 @@ class StartSource:
     def example_paths(self, agent: int) -> list[Array]:
         """Ways (P, 2) [m] that an agent may take in scene 0, for maps."""
         return []
+
+    def present_path(self, agent: int) -> Array | None:
+        """The path (P, 2) [m] that an agent of scene 0 is on; None where it is on none."""
+        return None

@@ -16,9 +16,9 @@ from dune_rl.core.errors import ConfigError, DuneWarning
 from dune_rl.env.agent_group import AgentGroup, GroupStep
 from dune_rl.env.observation_layout import ObservationLayout
 from dune_rl.env.pictures import Pictures
+from dune_rl.env.render_mode import check_render_mode
 from dune_rl.env.replay import CopiedByReplay, RestoreError
 from dune_rl.env.simulation import VectorSimulation
-from dune_rl.env.window import check_render_mode
 from dune_rl.geometry.arrays import Flags
 from dune_rl.sensors.sensor import Bounds
 

@@ -15,6 +15,7 @@ from dune_rl.core.errors import ConfigError
 from dune_rl.core.files import write_atomically
 from dune_rl.core.suggestions import advise
 from dune_rl.env.agent_group import AgentGroup
+from dune_rl.env.live.numbers import describe_agent
 from dune_rl.env.pictures import Pictures
 from dune_rl.env.requests import EpisodePlan
 from dune_rl.env.simulation import VectorSimulation
@@ -51,7 +52,7 @@ class EpisodeView:
         self.simulation = self._env.simulation
         try:
             self.group, self.row = find_agent(self.simulation, conf.agent)
-            self._make_policy = policy_factory(conf, self._env)
+            self.make_policy = policy_factory(conf, self._env)
         except BaseException:
             self._env.close()
             raise
@@ -59,10 +60,22 @@ class EpisodeView:
         self.pictures = Pictures(self.simulation)
         self._recorder = TrackRecorder(self.simulation)
 
-    def run(self) -> Iterator[bool]:
-        """Run one episode; yields whether it has ended, at its start and after each step."""
-        self.simulation.reseed(self.conf.seed, self.conf.episode)
-        policy = self._make_policy()
+    def load_policy(self, name: str) -> Policy:
+        """A built-in policy for all external groups; raises ConfigError where it cannot act."""
+        return PolicySource(name, "built-in", name).load(self._env)
+
+    def run(
+        self, seed: int | None = None, episode: int | None = None, policy: Policy | None = None
+    ) -> Iterator[bool]:
+        """Run one episode; yields whether it has ended, at its start and after each step.
+
+        Seed, number and policy are those of the settings, unless others are given.
+        """
+        conf = self.conf
+        self.simulation.reseed(
+            conf.seed if seed is None else seed, conf.episode if episode is None else episode
+        )
+        policy = policy or self.make_policy()
         observation = self._env.reset()
         self._recorder.reset(0)
         yield False
@@ -96,19 +109,10 @@ class EpisodeView:
 
     def status(self, steps: int) -> list[str]:
         """The agent's state after `steps` control steps of the episode, in a few lines."""
-        state, row = self.simulation.state.groups[self.group.name], self.row
         lines = [] if len(self.simulation.agents) == 1 else [self.agent]
-        lines += [
-            f"{steps / self.conf.physics.control_hz:5.1f} s",
-            f"speed {state.motion.velocity_b[row, 0].round(2) + 0.0:5.2f} m/s",
-        ]
-        if self.group.task is not None:
-            lines.append(f"goal {state.goal.distance[row]:6.2f} m")
-        return [
-            *lines,
-            f"slope {np.rad2deg(state.motion.tilt[row]):4.0f}°",
-            f"collisions {state.contacts.total[row]:.0f}",
-        ]
+        time_s = steps / self.conf.physics.control_hz
+        (_, time), *rows = describe_agent(self.simulation, self.group, self.row, time_s)
+        return [*lines, time, *(f"{name} {value}" for name, value in rows)]
 
     def ending(self) -> str:
         """How the agent's episode ended; empty while it goes on."""

@@ -1,0 +1,214 @@
+"""The scene of a live view as nodes of viser: what stands still once, what moves by its poses."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dune_rl.geometry.arrays import Array
+from dune_rl.rendering.baked_scenery import BakedScenery
+from dune_rl.rendering.light import Light, linear_to_srgb
+from dune_rl.rendering.moving_mesh import PosedMesh, RayMesh
+from dune_rl.rendering.participating_media import ParticipatingMedia
+from dune_rl.rendering.scenery import ColouredMesh
+from dune_rl.rendering.web.gltf import GltfFile, Surface, quaternions
+from dune_rl.rendering.web.server import Server
+from dune_rl.rendering.web.surfaces import body_surfaces, sky_surface, world_surfaces
+
+Colour = tuple[int, int, int]
+Values = NDArray[np.floating]
+
+_SKY_RADIUS_M, _FARTHEST_M, _NEAREST_M = 1_500.0, 4_000.0, 0.05
+_SUN_AWAY_M = 100.0
+# Light that shadows of bodies take from the ground.
+_SHADOW = 0.45
+# Haze of this optical depth hides a surface.
+_HIDING_DEPTH = 3.0
+_FOV_RAD = 0.9
+
+
+def name_parts(bodies: Mapping[str, Sequence[PosedMesh]]) -> Iterator[tuple[str, PosedMesh]]:
+    """The parts of all bodies with their names, such as rover_0/3."""
+    for name, parts in bodies.items():
+        for number, part in enumerate(parts):
+            yield f"{name}/{number}", part
+
+
+@dataclass
+class _Part:
+    """The node of a part of a body, its meshes, the mesh that it shows now, and the mesh it showed before."""
+
+    frame: Any
+    meshes: dict[RayMesh, Any] = field(default_factory=dict)
+    shown: RayMesh | None = None
+    last: RayMesh | None = None
+
+
+class WebScene:
+    """The 3D scene of a `server`'s page: a baked world, bodies that move, and lines and points."""
+
+    def __init__(self, server: Server) -> None:
+        self._server = server
+        self._world: BakedScenery | None = None
+        self._parts: dict[str, _Part] = {}
+        self._drawn: dict[str, Any] = {}
+        server.scene.set_up_direction("+z")
+        server.scene.configure_default_lights(False)
+        server.scene.configure_environment_map(None)
+        camera = server.initial_camera
+        camera.near, camera.far, camera.fov = _NEAREST_M, _FARTHEST_M, _FOV_RAD
+
+    def show_world(self, baked: BakedScenery, media: ParticipatingMedia) -> None:
+        """Show a world in its light, in place of the one before."""
+        if baked is self._world:
+            return
+        self._world = baked
+        scene = self._server.scene
+        # Of the ground alone: props have the shadows that are baked.
+        ground, *rest = world_surfaces(baked)
+        scene.add_glb("/world/ground", _glb([ground]), cast_shadow=False, receive_shadow=_SHADOW)
+        if any(len(each.corners) for each in rest):
+            scene.add_glb("/world/objects", _glb(rest), cast_shadow=False, receive_shadow=False)
+        else:
+            scene.remove_by_name("/world/objects")
+        sky = sky_surface(baked, media.haze, _SKY_RADIUS_M)
+        scene.add_glb("/sky", _glb([sky]), cast_shadow=False, receive_shadow=False)
+        self._light_bodies(baked.light)
+        if media.haze is not None:
+            colour = _bytes(media.haze.colour)
+            scene.configure_fog(0.0, _HIDING_DEPTH / media.haze.extinction, color=colour)
+        else:
+            scene.configure_fog(0.0, 1.0, enabled=False)
+
+    def _light_bodies(self, light: Light) -> None:
+        """Sun and sky as `Light.shade` has them: three.js divides light by pi where surfaces reflect it."""
+        sun, sun_strength = _colour_and_strength(light.sun)
+        sky, sky_strength = _colour_and_strength(0.55 * light.zenith + 0.25 * light.horizon)
+        ground = _bytes(0.10 * light.sun / sky_strength)
+        scene = self._server.scene
+        scene.add_light_directional(
+            "/lights/sun",
+            color=sun,
+            intensity=np.pi * sun_strength,
+            cast_shadow=light.shadows,
+            position=_SUN_AWAY_M * light.to_sun,
+        )
+        scene.add_light_hemisphere(
+            "/lights/sky", sky_color=sky, ground_color=ground, intensity=np.pi * sky_strength
+        )
+
+    def show_bodies(self, bodies: Mapping[str, Sequence[PosedMesh]]) -> None:
+        """Pose the bodies, and hide those that are not there."""
+        parts = dict(name_parts(bodies))
+        if parts:
+            turns = quaternions(np.array([part.rotation for part in parts.values()]))
+            for (name, part), turn in zip(parts.items(), turns[:, [3, 0, 1, 2]], strict=True):
+                self._show_part(name, part, turn)
+        for name in self._parts.keys() - parts.keys():
+            _set(self._parts[name].frame, visible=False)
+
+    def _show_part(self, name: str, part: PosedMesh, wxyz: Array) -> None:
+        node = self._parts.get(name)
+        if node is None:
+            frame = self._server.scene.add_frame(f"/bodies/{name}", show_axes=False)
+            node = self._parts[name] = _Part(frame)
+        _set(node.frame, visible=True)
+        if not np.array_equal(node.frame.position, part.position):
+            node.frame.position = part.position
+        if not np.array_equal(node.frame.wxyz, wxyz):
+            node.frame.wxyz = wxyz
+        self._show_mesh(name, node, part.solid)
+
+    def _show_mesh(self, name: str, node: _Part, solid: RayMesh) -> None:
+        """Show a mesh of a part. A new one takes a moment to load: the one before stays for a step."""
+        if node.last is not None:
+            _set(node.meshes[node.last], visible=node.last is solid)
+            node.last = None
+        if node.shown is solid:
+            return
+        is_new = solid not in node.meshes
+        if is_new:
+            path = f"/bodies/{name}/mesh_{len(node.meshes)}"
+            node.meshes[solid] = self._server.scene.add_glb(path, _glb_of(solid.shape))
+        _set(node.meshes[solid], visible=True)
+        if node.shown is not None:
+            if is_new:
+                node.last = node.shown
+            else:
+                _set(node.meshes[node.shown], visible=False)
+        node.shown = solid
+
+    def show_lines(self, name: str, ends: Array, colour: Colour, width: float = 2.0) -> None:
+        """Show line segments (N, 2, 3) [m] in one colour, `width` in pixels."""
+        points = ends.astype(np.float32)
+        if name in self._drawn:
+            self._redraw(name, points)
+        elif len(points):
+            colours = np.array(colour, np.uint8)
+            self._drawn[name] = self._server.scene.add_line_segments(
+                f"/{name}", points, colours, thickness=width, thickness_units="screen"
+            )
+
+    def show_points(self, name: str, points: Array, near: Array, colour: Colour, size_m: float) -> None:
+        """Show points (N, 3) [m] in one colour. They are sent in 16 bits a number, about `near` (3,)."""
+        local = (points - near).astype(np.float16)
+        if name in self._drawn:
+            self._redraw(name, local)
+            self._drawn[name].position = near
+        elif len(points):
+            self._drawn[name] = self._server.scene.add_point_cloud(
+                f"/{name}",
+                local,
+                colour,
+                point_size=size_m,
+                point_shape="circle",
+                point_shading="flat",
+                position=near,
+            )
+
+    def _redraw(self, name: str, points: Values) -> None:
+        node = self._drawn[name]
+        if len(points) and not np.array_equal(node.points, points):
+            node.points = points
+        _set(node, visible=len(points) > 0)
+
+    def look(self, eye: Array, target: Array) -> None:
+        """Where those who open the page look from."""
+        camera = self._server.initial_camera
+        camera.position, camera.look_at = eye, target
+
+    def follow(self, target: Array) -> None:
+        """Let all who look see `target` (3,) [m], from the side and the distance that each has chosen."""
+        for client in self._server.get_clients().values():
+            camera = client.camera
+            if camera.update_timestamp and not np.allclose(camera.look_at, target, atol=1e-4):
+                camera.position = target + (camera.position - camera.look_at)
+                camera.look_at = target
+
+
+def _glb(surfaces: Sequence[Surface]) -> bytes:
+    file = GltfFile(y_up=False)
+    file.add_node("mesh", file.add_mesh(surfaces))
+    return file.to_bytes()
+
+
+def _glb_of(shape: ColouredMesh) -> bytes:
+    return _glb(body_surfaces(shape))
+
+
+def _set(node: Any, *, visible: bool) -> None:
+    if node.visible != visible:
+        node.visible = visible
+
+
+def _bytes(linear: Values) -> Colour:
+    red, green, blue = (linear_to_srgb(np.asarray(linear)) * 255.0).round().astype(int).tolist()
+    return red, green, blue
+
+
+def _colour_and_strength(linear: Values) -> tuple[Colour, float]:
+    """A colour whose largest part is full, and what it is multiplied by."""
+    strength = float(np.max(linear))
+    return _bytes(linear / strength), strength
