@@ -1,4 +1,4 @@
-"""`python -m dune_rl.export`: a trained policy as an ONNX file."""
+"""`python -m dune_rl.export`: a trained policy as an ONNX file, or a scene for Gazebo."""
 
 from dune_rl.commands.command_line import command
 

@@ -17,7 +17,7 @@ from dune_rl.commands.engines import EnginesConf
 from dune_rl.commands.pages import PAGES, HelpPage
 from dune_rl.commands.report import ReportConf
 from dune_rl.config.agents import AgentGroupConf
-from dune_rl.config.commands import BenchmarkConf, EvaluateConf, ForecastConf, RosConf, ViewConf
+from dune_rl.config.commands import BenchmarkConf, EvaluateConf, ForecastConf, GazeboConf, RosConf, ViewConf
 from dune_rl.config.compose import compose_environment
 from dune_rl.config.schema import Conf, EnvConf
 from dune_rl.core import paths
@@ -48,6 +48,7 @@ COMMANDS: Mapping[str, tuple[Any, str]] = {
     "train": (Conf, "train"),
     "evaluate": (EvaluateConf, "evaluate"),
     "forecast": (ForecastConf, "forecast"),
+    "export": (GazeboConf, "export"),
     "ros": (RosConf, "ros"),
     "view": (ViewConf, "view"),
     "benchmark": (BenchmarkConf, "benchmark"),

@@ -104,9 +104,10 @@ LAYERS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
     (
         "learn",
         (
-            ("learning", "algorithms, collectors, checkpoints"),
+            ("learning", "algorithms, checkpoints"),
             ("visualization", "sheets, films, maps"),
-            ("ros", "bags and topics of ROS 2"),
+            ("ros", "bags, topics of ROS 2"),
+            ("gazebo", "files for Gazebo"),
         ),
     ),
     (

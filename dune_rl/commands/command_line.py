@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 _SHOW_WARNING = warnings.showwarning
 
 # Errors of the file system that a user can mend; others are faults of ours.
+# Of a message: a name or a list in a file may have any length.
+_LONGEST_LINE = 1_500
 _FILE_ERRORS = {
     errno.EACCES: "no permission",
     errno.ENOENT: "it cannot be made there",
@@ -47,7 +49,7 @@ _AGAIN_S = 0.05
 
 
 # Commands whose settings Hydra composes.
-_COMPOSED = ("train", "evaluate", "forecast", "ros", "view", "benchmark")
+_COMPOSED = ("train", "evaluate", "forecast", "ros", "view", "export", "benchmark")
 
 
 class ReportedError(DuneError):
@@ -158,11 +160,16 @@ def _warn(message: Warning | str, category: type[Warning], *place: Any, **more: 
 
 
 def describe_user_error(error: DuneError | OSError) -> str | None:
-    """The message of an error that a user can mend; None for a fault of ours."""
+    """The message of an error that a user can mend; None for a fault of ours. Very long lines are cut."""
     if isinstance(error, DuneError):
-        return str(error)
+        return "\n".join(_cut_line(line) for line in str(error).split("\n"))
     reason = _FILE_ERRORS.get(error.errno or 0)
     return f"cannot write {error.filename or 'a file'}: {reason}; choose another place" if reason else None
+
+
+def _cut_line(line: str) -> str:
+    half = _LONGEST_LINE // 2
+    return line if len(line) <= _LONGEST_LINE else f"{line[:half]} ... {line[-half:]}"
 
 
 def exit_with_error(message: str) -> NoReturn:

@@ -19,16 +19,17 @@ FILM_FILE = "film.mp4"
 def film_run(console: Console, conf: Conf, result: "TrainingResult") -> None:
     """Write the film of the best policy in the first episode of the run's evaluations."""
     from dune_rl.learning.run.tensorboard import log_film
-    from dune_rl.reporting.views.episode import EpisodeView, write_video
+    from dune_rl.reporting.views.episode import EpisodeView
+    from dune_rl.reporting.views.film import write_video
 
     environment = {name: getattr(conf, name) for name in EnvConf.model_fields}
     view = ViewConf(
         **environment,
         checkpoint=str(result.run_dir),
         seed=conf.seed + conf.learning.evaluation.seed_offset,
-        width=640,
-        height=360,
-        samples=1,
+        width=1280,
+        height=720,
+        samples=2,
     )
     console.print("Filming an episode of the trained policy", highlight=False)
     episode = EpisodeView(view)

@@ -322,16 +322,29 @@ PAGES: Mapping[str, HelpPage] = {
         options=False,
     ),
     "export": HelpPage(
-        "Write a trained policy as an ONNX file, which acts without PyTorch, and compare both.",
-        (("python -m dune_rl.export checkpoint=runs/NAME out=policy.onnx", "the best policy of a run"),),
+        "Write a trained policy as an ONNX file, or a world, its actors and robots for Gazebo.",
         (
-            ("checkpoint=PATH", "a run's folder, or a policy or checkpoint file"),
-            ("out=FILE.onnx", "the file; its metadata describe inputs, action and rate as JSON"),
-            ("group=NAME", "whose policy, where there are several"),
-            ("overwrite=true", "replaces the file that is there"),
+            (
+                "python -m dune_rl.export checkpoint=runs/NAME out=policy.onnx",
+                "the best policy of a run, compared with the file",
+            ),
+            ("python -m dune_rl.export world=inspection out=FOLDER", "a world and its actors as SDF"),
+            (
+                "python -m dune_rl.export world=inspection robot=rover_zero out=FOLDER",
+                "with the robot where an episode starts",
+            ),
+            ("python -m dune_rl.export robot=leo_rover out=FOLDER", "a robot alone, as SDF and URDF"),
         ),
-        "Drive with it: python -m dune_rl.evaluate policy=FILE.onnx. Needs pip install 'dune_rl[export]'.",
-        options=False,
+        (
+            ("checkpoint=PATH", "a run's folder, or a policy or checkpoint file; needs dune_rl[export]"),
+            ("group=NAME", "of a policy: whose, where there are several"),
+            ("seed=N", "of a world: of the episode whose start and actors are written"),
+            ("duration_s=S", "of a world: how long its actors are followed; else 60"),
+            ("out=PATH", "the file (.onnx), or the folder"),
+            ("overwrite=true", "replaces the file or the export that is there"),
+        ),
+        "A policy takes none but these settings, and drives by python -m dune_rl.evaluate policy=FILE.onnx.\n"
+        "More on Gazebo in docs/how_to/gazebo.md.",
     ),
     "benchmark": HelpPage(
         "Measure the cost of a step; JSON lines.",

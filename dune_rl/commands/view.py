@@ -20,9 +20,10 @@ def run(words: Sequence[str]) -> None:
     parsed = command_line.parse_arguments(words)
     checkpoint = override_value(parsed.overrides, "checkpoint")
     saved = None if checkpoint is None else read_policy_file(Path(str(checkpoint)))[1]["config"]
+    view = override_value(parsed.overrides, "view")
     # A map shows no readings, so it needs no sensors beside the policy's.
-    if saved is not None and override_value(parsed.overrides, "view") != "map":
-        saved = _with_all_sensors(saved)
+    if saved is not None and view != "map":
+        saved = _with_sensors(saved, "[camera,lidar]" if view == "video" else "all")
     from dune_rl.evaluation.episode_sets.apply import (
         compose_on_set,
         plan_of_set,
@@ -42,18 +43,18 @@ def run(words: Sequence[str]) -> None:
     _view(conf, plan)
 
 
-def _with_all_sensors(saved: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings of a run with all sensors enabled; its policy reads only its own."""
+def _with_sensors(saved: Mapping[str, Any], added: str) -> dict[str, Any]:
+    """Settings of a run with other sensors enabled, too; its policy reads only its own."""
     upgraded = upgrade_saved(saved)
     own = upgraded["sensors"]
-    every = compose(ViewConf, ["+world=flat", "sensors=all"]).model_dump(mode="json")["sensors"]
+    every = compose(ViewConf, ["+world=flat", f"sensors={added}"]).model_dump(mode="json")["sensors"]
     outputs = {name: {"outputs": entry["outputs"]} for name, entry in every.items() if "outputs" in entry}
-    added = {
+    more = {
         name: {**entry, **own.get(name, {}), **outputs.get(name, {}), "observed": True}
         for name, entry in every.items()
         if not own.get(name, {}).get("observed")
     }
-    return {**upgraded, "sensors": {**own, **added}}
+    return {**upgraded, "sensors": {**own, **more}}
 
 
 def _drop_odometry_of_legs(conf: ViewConf) -> ViewConf:
@@ -97,7 +98,8 @@ def _view(conf: ViewConf, plan: "EpisodePlan | None") -> None:
         command_line.print_world_notes(console, conf)
         _print_path(console, write_map(conf, folder / f"{_stem(conf)}_map.png", console, plan))
         return
-    from dune_rl.reporting.views.episode import EpisodeView, write_orbit, write_sheet, write_video
+    from dune_rl.reporting.views.episode import EpisodeView, write_orbit, write_sheet
+    from dune_rl.reporting.views.film import write_video
 
     episode = EpisodeView(conf, plan)
     try:

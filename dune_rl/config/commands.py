@@ -44,7 +44,7 @@ _BUILT_IN_POLICIES = get_args(BuiltInPolicy)
 
 
 class ViewConf(EnvConf):
-    """A look at an environment: pictures and a video, seen from behind `agent` (None: the first)."""
+    """A look at an environment: pictures and a film of `agent` (None: the first)."""
 
     view: Literal["sheet", "video", "both", "orbit", "map"] = "both"
     checkpoint: str | None = None
@@ -54,10 +54,10 @@ class ViewConf(EnvConf):
     seed: int = Field(0, ge=0)
     episode: int = Field(0, ge=0)
     after_s: float = Field(3.0, ge=0.0)
-    longest_s: float = Field(30.0, gt=0.0)
+    longest_s: float = Field(60.0, gt=0.0)
     frames_per_s: float = Field(10.0, gt=0.0, le=1_000.0)
-    width: int = Field(960, ge=64, le=8192, multiple_of=2)
-    height: int = Field(540, ge=64, le=8192, multiple_of=2)
+    width: int = Field(1920, ge=64, le=8192, multiple_of=2)
+    height: int = Field(1080, ge=64, le=8192, multiple_of=2)
     samples: int = Field(2, ge=1, le=4)
     episodes: int = Field(5, ge=1, le=100)
     dpi: int = Field(160, ge=72, le=600)
@@ -91,6 +91,21 @@ class RosConf(EnvConf, NetworkConf, LiveConf):
     checkpoint: str | None = None
     seed: int = Field(0, ge=0)
     episode: int = Field(0, ge=0)
+
+
+class GazeboConf(EnvConf):
+    """The export of a scene for Gazebo: its world, `duration_s` of its actors' motion, and its robots."""
+
+    seed: int = Field(0, ge=0)
+    duration_s: float = Field(60.0, gt=0.0, le=3_600.0)
+    out: str | None = Field(None, min_length=1)
+    overwrite: bool = False
+
+    @model_validator(mode="after")
+    def _somewhere(self) -> Self:
+        if self.out is None:
+            raise ValueError("out is missing; name the folder to write: out=FOLDER")
+        return self
 
 
 class ForecastConf(EnvConf):

@@ -13,7 +13,7 @@ from typing_extensions import TypeVar
 
 from dune_rl.config import group_options, shorthands
 from dune_rl.config.checks import unique_lines, validate
-from dune_rl.config.commands import BenchmarkConf, EvaluateConf, ForecastConf, RosConf, ViewConf
+from dune_rl.config.commands import BenchmarkConf, EvaluateConf, ForecastConf, GazeboConf, RosConf, ViewConf
 from dune_rl.config.hydra_session import (
     WHOLE_SETTINGS,
     compose_config,
@@ -36,6 +36,7 @@ _FILES: Mapping[type[EnvConf], str] = {
     Conf: "train",
     EvaluateConf: "evaluate",
     ForecastConf: "forecast",
+    GazeboConf: "export",
     RosConf: "ros",
     ViewConf: "view",
     BenchmarkConf: "benchmark",

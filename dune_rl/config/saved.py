@@ -68,7 +68,8 @@ def split_groups(config: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, A
 
 def robot_names(config: Mapping[str, Any]) -> list[str]:
     """The names of the robots in saved settings of any form, sorted."""
-    return sorted({str(group["body"]["name"]) for group in split_groups(config)[0].values()})
+    bodies = (group.get("body") for group in split_groups(config)[0].values())
+    return sorted({str(body["name"]) for body in bodies if isinstance(body, Mapping) and "name" in body})
 
 
 def _groups(data: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -31,6 +31,7 @@ _MAX_XML_BYTES = 128 * 2**20
 _MAX_XML_DEPTH = 128
 _MAX_PIXELS = 64_000_000
 _MOST_YAML_VALUES, _DEEPEST_YAML = 1_000_000, 200
+_MOST_INTEGER_BITS = 1_024
 # Largest side of a texture, and of one beyond the limit of all textures together.
 _TEXTURE_PIXELS, _COARSE_PIXELS = 1024, 32
 _MOST_TEXELS = 32_000_000
@@ -230,6 +231,16 @@ class _PlainLoader(yaml.SafeLoader):
         if _count_nodes(node, {}) > _MOST_YAML_VALUES:
             raise YamlLimitError(f"it has more than {_MOST_YAML_VALUES:,} values")
         return self.construct_document(node)
+
+    def construct_yaml_int(self, node: Any) -> int:
+        number = int(super().construct_yaml_int(node))
+        # Python writes no number of so many digits.
+        if number.bit_length() > _MOST_INTEGER_BITS:
+            raise ValueError("a whole number has too many digits")
+        return number
+
+
+_PlainLoader.add_constructor("tag:yaml.org,2002:int", _PlainLoader.construct_yaml_int)
 
 
 def _count_nodes(node: yaml.Node, known: dict[int, float]) -> float:

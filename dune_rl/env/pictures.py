@@ -87,10 +87,16 @@ class Pictures:
         *,
         turns_for_agents: bool = False,
     ) -> Picture:
-        """RGB (height, width, 3) of an agent, the first one without a name, from behind and above.
+        """RGB (height, width, 3) of an agent as seen from `behind` it."""
+        view = self.behind(scene, agent, turns_for_agents=turns_for_agents)
+        return self.seen(view, scene, width, height, samples)
 
-        The viewpoint is clear of fixed objects. With `turns_for_agents` it is beside or before the agent
-        where others would hide it from behind.
+    def behind(
+        self, scene: int = 0, agent: str | None = None, *, turns_for_agents: bool = False
+    ) -> Viewpoint:
+        """A viewpoint behind and above an agent, the first one without a name, and clear of fixed objects.
+
+        With `turns_for_agents` it is beside or before the agent where others would hide it from behind.
         """
         group, row = self._seen_agent(scene, agent)
         motion = group.body.motion
@@ -112,7 +118,11 @@ class Pictures:
         else:
             views = views[:1]
         eye, target = views[-1]
-        return self.seen(Viewpoint(tuple(eye), tuple(target), 1.05), scene, width, height, samples)
+        return Viewpoint(tuple(eye), tuple(target), 1.05)
+
+    def renderer(self, scene: int) -> Renderer:
+        """The renderer of a scene's world in its weather."""
+        return self._painters[scene]
 
     def _seen_agent(self, scene: int, agent: str | None) -> tuple[AgentGroup, int]:
         """Group and row of an agent or, without a name or if it is not there, of the first one that is."""

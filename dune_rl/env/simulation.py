@@ -1,6 +1,6 @@
 """M scenes with agent groups, stepped together: physics one after another, everything else as arrays."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -116,6 +116,8 @@ class VectorSimulation:
         self._plan = plan
         self.state: State
         self._refusal = _NOT_BEGUN
+        # Called after every control step, also between those of a held action.
+        self.watchers: list[Callable[[], None]] = []
         self.curriculum = Curriculum(curriculum, num_scenes)
         self._curriculum_group = "" if curriculum is None else self._measured_group(curriculum)
         self.reseed(seed, first_episode)
@@ -257,6 +259,8 @@ class VectorSimulation:
             group.name: GroupStep(evaluated[group.name][0], group.terminated.copy(), group.truncated.copy())
             for group in self.external
         }
+        for watch in self.watchers:
+            watch()
         return SimulationStep(steps, terminated, truncated)
 
     def advance(self, actions: Mapping[str, NDArray[np.floating]]) -> SimulationStep:

@@ -219,7 +219,9 @@ def _has_sources(content: Mapping[str, Any]) -> bool:
     policies, is_files = content.get("policies"), isinstance(content.get("files", {}), dict)
     return (
         isinstance(policies, list)
-        and all(isinstance(one, dict) and {"location", "sha256"} <= one.keys() for one in policies)
+        and all(isinstance(one, dict) and isinstance(one.get("location"), str) for one in policies)
+        and all("sha256" in one and isinstance(one["sha256"], str | None) for one in policies)
+        and isinstance(content.get("forecasts"), dict | None)
         and isinstance(content.get("set"), dict | None)
         and is_files
     )

@@ -3,27 +3,27 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.geometry.arrays import Array, Flags, Floats
+from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.geometry.posed_rays import PosedScenes
-from dune_rl.geometry.rays import Hits, RayScene
+from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.baked_scenery import to_srgb_bytes
 from dune_rl.rendering.light import Light
 from dune_rl.rendering.scenery import ColouredMesh, Segment
 
 
 class RayMesh:
-    """A `ColouredMesh` with its ray scene and bounding sphere, in its own frame."""
+    """A `ColouredMesh` with its ray scene and the corners (8, 3) of its box, in its own frame."""
 
     def __init__(self, shape: ColouredMesh) -> None:
         self.shape = shape
         self.rays = RayScene(shape.vertices, shape.faces)
-        low, high = shape.vertices.min(axis=0), shape.vertices.max(axis=0)
-        self.centre = (low + high) / 2
-        self.radius_m = float(np.linalg.norm(shape.vertices - self.centre, axis=1).max())
+        bounds = shape.vertices.min(axis=0), shape.vertices.max(axis=0)
+        self.corners = np.array(list(product(*zip(*bounds, strict=True))))
 
 
 class MovingMesh(PosedScenes):
@@ -71,38 +71,21 @@ class PosedMesh:
         return self.solid.shape
 
     @cached_property
-    def centre(self) -> Array:
-        """Centre of the bounding sphere, world frame (3,)."""
-        return self.position + self.rotation @ self.solid.centre
+    def corners(self) -> Array:
+        """Corners (8, 3) of the box about the mesh, world frame."""
+        return self.position + self.solid.corners @ self.rotation.T
 
-    def candidate_rays(self, eye: Floats, directions: Floats) -> NDArray[np.int64]:
-        """Indices of the rays along `directions` (N, 3) from `eye` (3,) that hit the bounding sphere."""
-        offset = (self.centre - eye).astype(np.float32)
-        distance = float(np.linalg.norm(offset))
-        if distance <= self.solid.radius_m:
-            return np.arange(len(directions))
-        cosine = np.sqrt(1.0 - (self.solid.radius_m / distance) ** 2)
-        return np.flatnonzero(directions @ (offset / np.float32(distance)) >= cosine)
 
-    def shadow_candidates(self, points: Floats, to_sun: Floats) -> NDArray[np.int64]:
-        """Indices of the points (N, 3) whose ray to the sun hits the bounding sphere."""
-        offset = self.centre.astype(np.float32) - points
-        along = offset @ to_sun
-        aside = np.einsum("ij,ij->i", offset, offset) - along * along
-        radius = self.solid.radius_m
-        return np.flatnonzero((aside <= radius * radius) & (along >= -radius))
+class PosedBodies:
+    """Several posed meshes as one, in the world frame, so that rays meet all of them at once.
 
-    def hits(self, origins: Floats, directions: Floats, ranges: Floats) -> Hits:
-        """First hits of world rays (R, 3) within `ranges` (R,), with normals in the world frame."""
-        local, turned = self._to_own_frame(origins, directions)
-        face, ranges, normal = self.solid.rays.hits(local, turned, ranges.copy())
-        return Hits(face, ranges, normal @ self.rotation.T.astype(np.float32))
+    `albedo` (F, 3) is in linear RGB, of the faces of all of them.
+    """
 
-    def any_hit(self, origins: Floats, directions: Floats) -> Flags:
-        """Whether each of the world rays (R, 3) hits the mesh, (R,)."""
-        local, turned = self._to_own_frame(origins, directions)
-        return self.solid.rays.any_hit(local, turned)
-
-    def _to_own_frame(self, origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
-        turn = self.rotation.astype(np.float32)
-        return (origins - self.position.astype(np.float32)) @ turn, directions @ turn
+    def __init__(self, bodies: Sequence[PosedMesh]) -> None:
+        shapes = [body.shape for body in bodies]
+        vertices = [body.position + body.shape.vertices @ body.rotation.T for body in bodies]
+        starts = np.cumsum([0, *(len(each) for each in vertices[:-1])])
+        faces = [shape.faces + start for shape, start in zip(shapes, starts, strict=True)]
+        self.rays = RayScene(np.concatenate(vertices), np.concatenate(faces, dtype=np.int32))
+        self.albedo = np.concatenate([shape.albedo for shape in shapes])

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from dune_rl.geometry.arrays import Floats
+from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.rendering.baked_scenery import BakedScenery, smooth_normals
 from dune_rl.rendering.foliage import Foliage
-from dune_rl.rendering.moving_mesh import PosedMesh
+from dune_rl.rendering.moving_mesh import PosedBodies, PosedMesh
 from dune_rl.rendering.participating_media import (
     BRIGHTEST,
     TONES,
@@ -20,14 +20,16 @@ from dune_rl.rendering.participating_media import (
     grass_colours,
 )
 from dune_rl.rendering.scenery import Segment
+from dune_rl.rendering.shading import GRAIN_TEXELS, add_grain, sample_ground
 from dune_rl.rendering.weather import Sky
 
 _RAYS_AT_ONCE = 65_536
 _FAR_M = 2_000.0
 _OFF_SURFACE_M = 0.01
-# Noise finer than the ground's texture: a tile repeated over the ground.
-_GRAIN_TILE_M, _GRAIN_TEXELS, _GRAIN_STRENGTH = 2.56, 512, 0.16
-_GRAIN_FADES_M = 14.0
+# Props have less of the ground's noise, which keeps large walls from looking like plastic.
+_PROPS_GRAIN = 0.4
+# Pixels that differ by more from a neighbour, in sRGB bytes, are traced by several rays.
+_CONTRAST = 10
 # Distance in clear air at which half of the colour is that of the horizon.
 _AIR_M = 700.0
 _CLEAR = ParticipatingMedia()
@@ -41,29 +43,51 @@ class Viewpoint:
     target: tuple[float, float, float]
     fov_rad: float = 1.1
 
-    def directions(self, width: int, height: int) -> Floats:
-        """Unit vectors (height, width, 3), world frame, through the centre of each pixel."""
+    def directions(self, width: int, height: int, samples: int = 1) -> Floats:
+        """Unit vectors (height * samples, width * samples, 3), world frame, through the pixels' samples."""
+        ahead, right, up = self._axes()
+        columns, rows = width * samples, height * samples
+        half = np.tan(self.fov_rad / 2)
+        x = (np.arange(columns) + 0.5 - columns / 2) / (columns / 2) * half
+        y = (np.arange(rows) + 0.5 - rows / 2) / (columns / 2) * half
+        along_rows = (ahead - y[:, None] * up).astype(np.float32)
+        rays = along_rows[:, None] + (x[:, None] * right).astype(np.float32)
+        rays /= np.sqrt(np.einsum("ijk,ijk->ij", rays, rays))[..., None]
+        return rays
+
+    def project(self, points: Array, width: int, height: int) -> tuple[Array, Array, Array]:
+        """Columns (N,), rows (N,) [px] and depths (N,) [m] of points (N, 3) in a picture of that size.
+
+        Points behind the eye have depths below 0.
+        """
+        ahead, right, up = self._axes()
+        offset = np.asarray(points) - self.eye
+        depth = offset @ ahead
+        scale = width / (2.0 * np.tan(self.fov_rad / 2) * np.where(depth > 0.0, depth, np.nan))
+        return width / 2 + offset @ right * scale, height / 2 - offset @ up * scale, depth
+
+    def _axes(self) -> tuple[Array, Array, Array]:
+        """Unit vectors ahead, to the right and up in the picture, world frame."""
         ahead = np.subtract(self.target, self.eye)
         ahead = ahead / np.linalg.norm(ahead)
         right = np.cross(ahead, [0.0, 0.0, 1.0])
         right = right / np.linalg.norm(right) if np.linalg.norm(right) > 1e-9 else np.array([0.0, -1.0, 0.0])
-        up = np.cross(right, ahead)
-        half = np.tan(self.fov_rad / 2)
-        x = (np.arange(width) + 0.5 - width / 2) / (width / 2) * half
-        y = (np.arange(height) + 0.5 - height / 2) / (width / 2) * half
-        rays = ahead + x[None, :, None] * right - y[:, None, None] * up
-        rays = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
-        return rays.astype(np.float32)
+        return ahead, right, np.cross(right, ahead)
 
 
-class _SurfaceHits(NamedTuple):
-    """Hits of N rays: points, faces, normals, ranges [m], and number of the body, -1 for the world."""
+class Traced(NamedTuple):
+    """What N rays meet: faces, -1 for the sky; ranges [m]; normals (N, 3), not normalised, of the surfaces;
+    and whether these are those of bodies, whose faces have numbers of their own.
+    """
 
-    points: Floats
     face: NDArray[np.int32]
-    normal: Floats
     range: Floats
-    body: NDArray[np.int32]
+    normal: Floats
+    is_body: NDArray[np.bool_]
+
+    def select(self, rays: NDArray[np.int64]) -> "Traced":
+        """What some of the rays meet, by their numbers."""
+        return Traced(self.face[rays], self.range[rays], self.normal[rays], self.is_body[rays])
 
 
 class Renderer:
@@ -78,12 +102,15 @@ class Renderer:
         shape = points.shape[:2]
         self._albedo = baked.scenery.ground
         self._normals = smooth_normals(baked.terrain, points.reshape(-1, 3)[:, :2]).reshape(*shape, 3)
-        draws = np.random.default_rng(0).standard_normal((_GRAIN_TEXELS, _GRAIN_TEXELS))
+        draws = np.random.default_rng(0).standard_normal((GRAIN_TEXELS, GRAIN_TEXELS))
         grain = sum(
             ndimage.gaussian_filter(draws, sigma, mode="wrap") * sigma * weight
             for sigma, weight in ((0.7, 1.0), (2.0, 1.2), (6.0, 1.0))
         )
-        self._grain = (grain / np.std(grain)).astype(np.float32)
+        self._grain = (grain / np.std(grain)).astype(np.float32).ravel()
+        xmin, xmax, ymin, ymax = baked.terrain.extent
+        self._corner = np.array([xmin, ymin], np.float32)
+        self._per_m = np.array([1.0 / (xmax - xmin), 1.0 / (ymax - ymin)], np.float32)
 
     def render(
         self,
@@ -93,47 +120,105 @@ class Renderer:
         bodies: Sequence[PosedMesh] = (),
         samples: int = 1,
     ) -> NDArray[np.uint8]:
-        """SRGB bytes (height, width, 3). `samples` > 1 antialiases, at a cost of `samples` squared."""
-        directions = view.directions(width * samples, height * samples).reshape(-1, 3)
+        """SRGB bytes (height, width, 3).
+
+        With `samples` > 1, pixels at edges are the mean of `samples` squared rays.
+        """
         eye = np.asarray(view.eye, np.float32)
-        pixel_rad = 2.0 * np.tan(view.fov_rad / 2) / (width * samples)
+        pixel_rad = 2.0 * np.tan(view.fov_rad / 2) / width
+        directions = view.directions(width, height).reshape(-1, 3)
+        posed = PosedBodies(bodies) if bodies else None
+        picture = to_bytes(self._colours_along(eye, directions, posed, pixel_rad))
+        if samples > 1:
+            uneven = np.flatnonzero(_is_uneven(picture.reshape(height, width, 3)))
+            if len(uneven):
+                fine = view.directions(width, height, samples)
+                picture[uneven] = to_bytes(self.antialiased(eye, fine, uneven, posed, pixel_rad, samples))
+        return picture.reshape(height, width, 3)
+
+    def antialiased(
+        self,
+        eye: Floats,
+        fine: Floats,
+        pixels: NDArray[np.int64],
+        bodies: PosedBodies | None,
+        pixel_rad: float,
+        samples: int,
+    ) -> Floats:
+        """Linear RGB (K, 3) of `pixels` (K,), numbers in the picture, each the mean of `samples` squared rays
+        along `fine` (height * samples, width * samples, 3).
+        """
+        width = fine.shape[1] // samples
+        row, column = np.divmod(pixels, width)
+        step = np.arange(samples)
+        rays = fine[
+            (row[:, None] * samples + step)[:, :, None], (column[:, None] * samples + step)[:, None, :]
+        ]
+        colours = self._colours_along(eye, rays.reshape(-1, 3), bodies, pixel_rad / samples)
+        # Clipped before averaging, so that one very bright sample does not dominate a pixel.
+        means: Floats = np.minimum(colours, BRIGHTEST).reshape(len(pixels), samples**2, 3).mean(axis=1)
+        return means
+
+    def _colours_along(
+        self, eye: Floats, directions: Floats, bodies: PosedBodies | None, pixel_rad: float
+    ) -> Floats:
+        """Linear RGB (N, 3) seen from `eye` (3,) along `directions` (N, 3), which are `pixel_rad` apart."""
         colours = np.empty((len(directions), 3), np.float32)
         for start in range(0, len(directions), _RAYS_AT_ONCE):
             part = slice(start, start + _RAYS_AT_ONCE)
-            colours[part] = self._colours(eye, directions[part], bodies, pixel_rad)
-        if samples > 1:
-            # Clipped before averaging, so that one very bright sample does not dominate a pixel.
-            blocks = np.minimum(colours, BRIGHTEST).reshape(height, samples, width, samples, 3)
-            colours = blocks.mean(axis=(1, 3)).reshape(-1, 3)
-        index = (colours * ((TONES - 1) / BRIGHTEST)).astype(np.int32)
-        return TONES_TO_BYTES.take(index, mode="clip").reshape(height, width, 3)
+            traced = self.trace(eye, directions[part], bodies)
+            colours[part] = self.colours(eye, directions[part], traced, bodies, pixel_rad)
+        return colours
 
-    def _colours(
-        self, eye: Floats, directions: Floats, bodies: Sequence[PosedMesh], pixel_rad: float
-    ) -> Floats:
-        """Linear RGB (N, 3) seen from `eye` (3,) along `directions` (N, 3), which are `pixel_rad` apart."""
+    def trace(self, eye: Floats, directions: Floats, bodies: PosedBodies | None) -> Traced:
+        """What rays from `eye` (3,) along `directions` (N, 3) meet first."""
         ranges = np.full(len(directions), _FAR_M, np.float32)
         face, ranges, normal = self.baked.rays.hits(eye[None], directions, ranges)
-        body_of = np.full(len(directions), -1, np.int32)
-        for number, body in enumerate(bodies):
-            ray = body.candidate_rays(eye, directions)
-            if not len(ray):
-                continue
-            hit = body.hits(np.broadcast_to(eye, (len(ray), 3)), directions[ray], ranges[ray])
-            met = hit.face >= 0
-            ray = ray[met]
-            ranges[ray], face[ray], normal[ray] = hit.range[met], hit.face[met], hit.normal[met]
-            body_of[ray] = number
-        colours = self._sky.colours(directions)
-        seen = np.flatnonzero(face >= 0)
-        if len(seen):
-            points = eye + directions[seen] * ranges[seen, None]
-            hits = _SurfaceHits(points, face[seen], normal[seen], ranges[seen], body_of[seen])
-            lit = self._shade(hits, directions[seen], bodies, pixel_rad)
-            colours[seen] = self._fade(lit, hits.range)
+        is_body = np.zeros(len(directions), np.bool_)
+        if bodies is not None:
+            hit = bodies.rays.hits(eye[None], directions, ranges)
+            is_body = hit.face >= 0
+            face[is_body], normal[is_body] = hit.face[is_body], hit.normal[is_body]
+        return Traced(face, ranges, normal, is_body)
+
+    def colours(
+        self,
+        eye: Floats,
+        directions: Floats,
+        traced: Traced,
+        bodies: PosedBodies | None,
+        pixel_rad: float,
+    ) -> Floats:
+        """Linear RGB (N, 3) of what was `traced` from `eye` (3,) along `directions` (N, 3)."""
+        is_surface = traced.face >= 0
+        if is_surface.all():
+            colours = self._lit(eye, directions, traced, bodies, pixel_rad)
+        else:
+            colours = np.empty((len(directions), 3), np.float32)
+            free, seen = np.flatnonzero(~is_surface), np.flatnonzero(is_surface)
+            colours[free] = self._sky.colours(directions[free])
+            colours[seen] = self._lit(eye, directions[seen], traced.select(seen), bodies, pixel_rad)
         if self._media.foliage is not None:
-            self._blend_grass(self._media.foliage, colours, eye, directions, ranges, bodies)
+            self._blend_grass(self._media.foliage, colours, eye, directions, traced.range, bodies)
         return colours
+
+    def _lit(
+        self,
+        eye: Floats,
+        directions: Floats,
+        traced: Traced,
+        bodies: PosedBodies | None,
+        pixel_rad: float,
+    ) -> Floats:
+        """Linear RGB (N, 3) of surfaces, behind air and haze."""
+        points = eye + directions * traced.range[:, None]
+        albedo, normals, sky_share, gloss = self._surfaces(points, traced, bodies, pixel_rad)
+        towards_eye = np.einsum("ij,ij->i", normals, directions) > 0.0
+        normals[towards_eye] *= -1.0
+        lit = self._light.shade(albedo, normals, self._sunlit(points, normals, bodies), sky_share)
+        if gloss.any():
+            lit = self._add_reflections(lit, gloss, normals, directions)
+        return self._fade(lit, traced.range)
 
     def _fade(self, colours: Floats, ranges: Floats) -> Floats:
         """Linear RGB (N, 3) of surfaces of `colours` (N, 3) seen through `ranges` (N,) [m] of air."""
@@ -142,16 +227,6 @@ class Renderer:
         faded: Floats = colours * clear + self._light.horizon * (1.0 - clear)
         return faded if self._media.haze is None else self._media.haze.blend_over(faded, ranges)
 
-    def _shade(
-        self, hits: _SurfaceHits, directions: Floats, bodies: Sequence[PosedMesh], pixel_rad: float
-    ) -> Floats:
-        """Linear RGB (N, 3) of surfaces hit by rays along `directions` (N, 3)."""
-        albedo, normals, sky_share, gloss = self._surfaces(hits, bodies, pixel_rad)
-        towards_eye = np.einsum("ij,ij->i", normals, directions) > 0.0
-        normals[towards_eye] *= -1.0
-        lit = self._light.shade(albedo, normals, self._sunlit(hits.points, normals, bodies), sky_share)
-        return self._add_reflections(lit, gloss, normals, directions) if gloss.any() else lit
-
     def _blend_grass(
         self,
         foliage: Foliage,
@@ -159,7 +234,7 @@ class Renderer:
         eye: Floats,
         directions: Floats,
         ranges: Floats,
-        bodies: Sequence[PosedMesh],
+        bodies: PosedBodies | None,
     ) -> None:
         """Blend grass over `colours` (N, 3), in place, of surfaces at `ranges` (N,)."""
         transmission = foliage.transmission(eye[None], directions, ranges, tufts=True)
@@ -173,26 +248,23 @@ class Renderer:
         colours[grown] = grass + (colours[grown] - grass) * passed[:, None]
 
     def _surfaces(
-        self, hits: _SurfaceHits, bodies: Sequence[PosedMesh], pixel_rad: float
+        self, points: Floats, traced: Traced, bodies: PosedBodies | None, pixel_rad: float
     ) -> tuple[Floats, Floats, Floats, Floats]:
-        """Albedo (N, 3), unit normals (N, 3), sky share (N,) and gloss (N,) of the surfaces."""
-        baked, (points, face, normal, ranges, body_of) = self.baked, hits
+        """Albedo (N, 3), unit normals (N, 3), sky share (N,) and gloss (N,) of the surfaces at `points`."""
+        baked, (face, ranges, normal, is_body) = self.baked, traced
         albedo = np.empty_like(points)
-        normals = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+        normals = normal / np.maximum(np.sqrt(np.einsum("ij,ij->i", normal, normal)), 1e-12)[:, None]
         share, gloss = np.ones(len(points), np.float32), np.zeros(len(points), np.float32)
-        ground = np.flatnonzero((body_of < 0) & (face < baked.ground_faces))
+        ground = np.flatnonzero(~is_body & (face < baked.ground_faces))
         if len(ground):
-            at = points[ground]
-            texels = baked.grid_coordinates(at, self._albedo.shape[:2])
-            albedo[ground] = _interpolate(self._albedo, texels) * (1.0 + self._grain_at(at, ranges[ground]))
-            normals[ground] = _interpolate(self._normals, baked.grid_coordinates(at, self._normals.shape[:2]))
-            share[ground] = _interpolate(baked.sky_share, baked.grid_coordinates(at, baked.sky_share.shape))
-        prop = np.flatnonzero((body_of < 0) & (face >= baked.ground_faces))
+            grids = self._albedo, self._normals, baked.sky_share
+            sample_ground(points, ground, self._corner, self._per_m, *grids, albedo, normals, share)
+            add_grain(points, ranges, ground, self._grain, 1.0, albedo)
+        prop = np.flatnonzero(~is_body & (face >= baked.ground_faces))
         if len(prop):
             own = face[prop] - baked.ground_faces
-            # A little of the ground's noise keeps large walls from looking like plastic.
-            grained = 1.0 + 0.4 * self._grain_at(points[prop], ranges[prop])
-            albedo[prop] = baked.props.albedo[own] * grained
+            albedo[prop] = baked.props.albedo[own]
+            add_grain(points, ranges, prop, self._grain, _PROPS_GRAIN, albedo)
             if baked.texture is not None:
                 pictured = baked.texture.textured[own]
                 seen = prop[pictured]
@@ -200,21 +272,12 @@ class Renderer:
                 albedo[seen] = baked.texture.albedo(own[pictured], points[seen], pixel_m, smooth=True)
             share[prop] = baked.props_sky_share[own]
             gloss[prop] = np.where(baked.props.segments[own] == Segment.WATER, 1.0, 0.0)
-        for number in np.unique(body_of[body_of >= 0]):
-            mine = body_of == number
-            albedo[mine] = bodies[number].shape.albedo[face[mine]]
+        if bodies is not None:
+            posed = np.flatnonzero(is_body)
+            albedo[posed] = bodies.albedo[face[posed]]
         return albedo, normals, share, gloss
 
-    def _grain_at(self, points: Floats, ranges: Floats) -> Floats:
-        """Relative brightness noise (N, 1) about 0 at points (N, 3), faded out where it would flicker."""
-        # Sheared, so that vertical walls have noise, too.
-        slanted = points[:, :2] + points[:, 2:] * np.float32(0.71)
-        cell = (slanted * np.float32(_GRAIN_TEXELS / _GRAIN_TILE_M)).astype(np.int32) & (_GRAIN_TEXELS - 1)
-        grain = self._grain.ravel().take(cell[:, 1] * _GRAIN_TEXELS + cell[:, 0])
-        fade = np.float32(_GRAIN_STRENGTH) * np.exp(ranges * np.float32(-1.0 / _GRAIN_FADES_M))
-        return (grain * fade)[:, None]
-
-    def _sunlit(self, points: Floats, normals: Floats, bodies: Sequence[PosedMesh]) -> Floats:
+    def _sunlit(self, points: Floats, normals: Floats, bodies: PosedBodies | None) -> Floats:
         """1 where the sun reaches `points` (N, 3), else 0."""
         to_sun = self._light.to_sun
         facing = np.flatnonzero(normals @ to_sun > 0.0)
@@ -225,10 +288,8 @@ class Renderer:
         origins = points[facing] + normals[facing] * np.float32(_OFF_SURFACE_M)
         directions = np.tile(to_sun, (len(origins), 1))
         free = ~self.baked.rays.any_hit(origins, directions)
-        for body in bodies:
-            near = body.shadow_candidates(origins, to_sun)
-            if len(near):
-                free[near] &= ~body.any_hit(origins[near], directions[near])
+        if bodies is not None:
+            free &= ~bodies.rays.any_hit(origins, directions)
         sunlit[facing] = free
         return sunlit
 
@@ -244,17 +305,20 @@ class Renderer:
         return lit
 
 
-def _interpolate(grid: Floats, at: tuple[Floats, Floats]) -> Floats:
-    """Bilinear values (N, ...) of a grid (rows, columns, ...) at fractional rows and columns (N,)."""
-    rows, columns = grid.shape[:2]
-    y, x = at
-    y0, x0 = y.astype(np.int32), x.astype(np.int32)
-    y0, x0 = np.minimum(y0, rows - 2), np.minimum(x0, columns - 2)
-    v, u = y - y0, x - x0
-    flat = grid.reshape(rows * columns, -1)
-    index = y0 * np.int32(columns) + x0
-    u, v = u[:, None], v[:, None]
-    low = flat.take(index, axis=0) * (1 - u) + flat.take(index + 1, axis=0) * u
-    high = flat.take(index + columns, axis=0) * (1 - u) + flat.take(index + columns + 1, axis=0) * u
-    values: Floats = low * (1 - v) + high * v
-    return values.reshape(-1, *grid.shape[2:])
+def to_bytes(colours: Floats) -> NDArray[np.uint8]:
+    """SRGB bytes (N, 3) of linear RGB (N, 3)."""
+    index = (colours * np.float32((TONES - 1) / BRIGHTEST)).astype(np.int32)
+    return TONES_TO_BYTES.take(index, mode="clip")
+
+
+def _is_uneven(picture: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Pixels (H, W) of a picture (H, W, 3) that differ visibly from a neighbour."""
+    signed = picture.astype(np.int16)
+    uneven = np.zeros(picture.shape[:2], np.bool_)
+    across = (np.abs(np.diff(signed, axis=1)) > _CONTRAST).any(axis=2)
+    down = (np.abs(np.diff(signed, axis=0)) > _CONTRAST).any(axis=2)
+    uneven[:, 1:] |= across
+    uneven[:, :-1] |= across
+    uneven[1:] |= down
+    uneven[:-1] |= down
+    return uneven

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from dune_rl.core.errors import ConfigError
+from dune_rl.core.untrusted_files import printable
 from dune_rl.evaluation.episode_sets.files import read_episode_set, set_names
 from dune_rl.evaluation.folder import CONFIG, EPISODES, PART, PROVENANCE, STEPS, changed_files
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE
@@ -17,6 +18,7 @@ from dune_rl.reporting.rows import Row, StepTable, is_number, read_rows
 from dune_rl.reporting.sweeps import HISTORY, is_sweep, read_sweep, read_yaml
 
 _REQUIRED = ("policy", "episode")
+_MOST_EPISODES = 10**12
 # Folders below the given one that are searched: experiments/STUDY/seed1 has two.
 _DEPTH = 4
 # Rows that share these were made on the same episodes.
@@ -200,6 +202,12 @@ def _read_episodes(file: Path, config: Mapping[str, Any]) -> list[Row]:
             f"{file.name} lacks the column {missing[0]}, as those of other versions do; evaluate again"
         )
     world, physics = config.get("world") or {}, config.get("physics")
+    odd = next((index for index, row in enumerate(episodes) if not _is_episode(row["episode"])), None)
+    if odd is not None:
+        found = printable(str(episodes[odd]["episode"]))
+        raise ConfigError(
+            f"{file.name}, line {odd + 2}: episode is {found!r}, which is no number of one; evaluate again"
+        )
     # The first studies have one agent, and no column for it.
     defaults = {
         "set": "",
@@ -208,6 +216,10 @@ def _read_episodes(file: Path, config: Mapping[str, Any]) -> list[Row]:
         "agent": "agent_0",
     }
     return [{**defaults, **row} for row in episodes]
+
+
+def _is_episode(value: object) -> bool:
+    return isinstance(value, int | float) and 0 <= value < _MOST_EPISODES and value == int(value)
 
 
 def _check_repeated(file: Path, episodes: list[Row]) -> None:
@@ -251,10 +263,20 @@ def _read_origin(path: Path) -> dict[str, Any]:
         content = None
     if isinstance(content, dict):
         known = {str(key): value for key, value in content.items() if value is not None}
-        if all(isinstance(known.get(key, kind()), kind) for key, kind in _KINDS.items()):
+        kinds_fit = all(isinstance(known.get(key, kind()), kind) for key, kind in _KINDS.items())
+        if kinds_fit and _fit(known.get("policies", ()), known.get("command", ())):
             return known
     raise ConfigError(
         f"{PROVENANCE} is damaged, so that nothing tells whether it is complete; evaluate again"
+    )
+
+
+def _fit(policies: Sequence[object], command: Sequence[object]) -> bool:
+    sums = [one.get("sha256") if isinstance(one, dict) else one for one in policies]
+    return (
+        all(isinstance(one, dict) for one in policies)
+        and all(isinstance(one, str | None) for one in sums)
+        and all(isinstance(word, str) for word in command)
     )
 
 

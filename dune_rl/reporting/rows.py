@@ -17,6 +17,8 @@ Row = dict[str, Any]
 _TEXT = ("policy", "set", "world", "engine", "agent", "kind", "group")
 # The columns of steps that figures need.
 _STEP_TEXT = ("policy", "agent")
+# Figures overflow beyond it.
+_LARGEST = 1e15
 _STEP_NUMBERS = ("episode", "x_m", "y_m", "speed_mps", "time_s", "collisions_so_far")
 
 
@@ -54,12 +56,22 @@ def _parse_column(file: Path, name: str, cells: Sequence[str]) -> Sequence[float
     numbers = [_parse_number(cell) for cell in cells]
     odd = next((index for index, value in enumerate(numbers) if isinstance(value, str)), None)
     if odd is None:
+        large = next((index for index, value in enumerate(numbers) if _is_too_large(value)), None)
+        if large is not None:
+            raise ConfigError(
+                f"{file.name}, line {large + 2}: {printable(name)} is {printable(cells[large])}, larger than "
+                "any measure"
+            )
         return numbers
     if any(isinstance(value, float) for value in numbers):
         raise ConfigError(
             f"{file.name}, line {odd + 2}: {printable(name)} is {printable(cells[odd])!r}, which is no number"
         )
     return cells
+
+
+def _is_too_large(value: float | str | None) -> bool:
+    return isinstance(value, float) and math.isfinite(value) and abs(value) > _LARGEST
 
 
 def _parse_number(cell: str) -> float | str | None:

@@ -246,6 +246,8 @@ class HyperDog:
             contact_width_m=2 * _FOOT_RADIUS_M,
             max_speed_mps=conf.max_speed_mps,
             max_yaw_rate_radps=conf.max_yaw_rate_radps,
+            max_acceleration_mps2=conf.max_acceleration_mps2,
+            max_yaw_acceleration_radps2=conf.max_yaw_acceleration_radps2,
             heading_gain_per_s=conf.heading.kp,
             mounts=conf.mounts,
             battery=conf.battery,

@@ -79,8 +79,9 @@ class RobotDescription:
     the order of `RobotBody.ground_links`; the first wheels belong to the first motors, and those behind them
     have none.
 
-    `max_speed_mps` and `max_yaw_rate_radps` are the largest that can be commanded, and `heading_gain_per_s`
-    is the yaw rate over the heading error, at rest. `mounts` are the default poses of the sensors; `battery`
+    `max_speed_mps` and `max_yaw_rate_radps` are the largest that can be commanded, the accelerations those
+    with which commands are followed at most, and `heading_gain_per_s` is the yaw rate over the heading error,
+    at rest. `mounts` are the default poses of the sensors; `battery`
     supplies the motors. `wheels` is None for a robot with legs. `joint_actions` is the range of actions that
     are not a speed and a heading.
     """
@@ -95,6 +96,8 @@ class RobotDescription:
     contact_width_m: float
     max_speed_mps: float = 1.0
     max_yaw_rate_radps: float = 1.0
+    max_acceleration_mps2: float = np.inf
+    max_yaw_acceleration_radps2: float = np.inf
     heading_gain_per_s: float = 2.0
     mounts: MountsConf = field(default_factory=MountsConf)
     battery: BatteryConf = field(default_factory=lambda: BatteryConf(capacity_wh=90.0))

@@ -119,6 +119,8 @@ class WheeledRobot:
             description,
             max_speed_mps=drive.max_speed_mps,
             max_yaw_rate_radps=drive.max_yaw_rate_radps,
+            max_acceleration_mps2=drive.max_acceleration_mps2,
+            max_yaw_acceleration_radps2=drive.max_yaw_acceleration_radps2,
             heading_gain_per_s=heading.kp,
             wheels=WheelLayout(drive.wheel_radius_m, drive.effective_track_m, left, right),
         )

@@ -5,17 +5,17 @@ import io
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from xml.sax.saxutils import escape, quoteattr
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from dune_rl.core.files import write_atomically
+from dune_rl.gazebo.actors import format_number, make_actor
+from dune_rl.gazebo.elements import document_text
 from dune_rl.geometry.frames import wrap_angle
 from dune_rl.worlds.actor_trajectory import ActorTrajectory
 from dune_rl.worlds.importing.actor_files import COLUMNS
 
-# Printed digits behind the point: micrometres, microseconds and microradians.
-_DIGITS = 6
 # The newest version that Gazebo classic 11 reads; all newer ones read it, too.
 _SDF_VERSION = "1.7"
 # Of Open Robotics' examples; its origin is at the hip.
@@ -38,33 +38,25 @@ class Appearance:
 def sdf_text(actor: ActorTrajectory, appearance: Appearance = Appearance()) -> str:
     """An SDF file with an <actor> that walks the trajectory; `z` is raised by the mesh's origin."""
     lift = appearance.origin_height_m
-    way_points = "\n".join(
-        f"        <waypoint><time>{time}</time><pose>{x} {y} {z} 0 0 {yaw}</pose></waypoint>"
-        for time, x, y, z, yaw in _format_rows(actor, lift)
+    poses = np.zeros((len(actor.times), 6))
+    poses[:, :3], poses[:, 5] = actor.poses[:, :3] + [0.0, 0.0, lift], actor.poses[:, 3]
+    root = Element("sdf", version=_SDF_VERSION)
+    root.append(
+        make_actor(
+            actor.name,
+            actor.times,
+            poses,
+            skin=appearance.skin,
+            animation=appearance.animation,
+            interpolate_x=True,
+            loop=actor.loop,
+            delay_s=actor.delay_s,
+            comment=(
+                f"The poses' z is {format_number(lift)} m above the ground: the height of the skin's origin."
+            ),
+        )
     )
-    skin, animation = escape(appearance.skin), escape(appearance.animation)
-    return f"""<?xml version="1.0"?>
-<sdf version="{_SDF_VERSION}">
-  <actor name={quoteattr(actor.name)}>
-    <skin>
-      <filename>{skin}</filename>
-    </skin>
-    <animation name="walking">
-      <filename>{animation}</filename>
-      <interpolate_x>true</interpolate_x>
-    </animation>
-    <script>
-      <loop>{str(actor.loop).lower()}</loop>
-      <delay_start>{_format_number(actor.delay_s)}</delay_start>
-      <auto_start>true</auto_start>
-      <!-- The poses' z is {_format_number(lift)} m above the ground: the height of the skin's origin. -->
-      <trajectory id="0" type="walking">
-{way_points}
-      </trajectory>
-    </script>
-  </actor>
-</sdf>
-"""
+    return document_text(root)
 
 
 def csv_text(actor: ActorTrajectory) -> str:
@@ -72,7 +64,7 @@ def csv_text(actor: ActorTrajectory) -> str:
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(COLUMNS)
-    leading = actor.name, str(actor.loop).lower(), _format_number(actor.delay_s)
+    leading = actor.name, str(actor.loop).lower(), format_number(actor.delay_s)
     rows.writerows((*leading, *numbers) for numbers in _format_rows(actor))
     return text.getvalue()
 
@@ -83,7 +75,7 @@ def json_text(actor: ActorTrajectory) -> str:
     record = {
         "name": actor.name,
         "loop": actor.loop,
-        "delay_s": float(_format_number(actor.delay_s)),
+        "delay_s": float(format_number(actor.delay_s)),
         "times_s": [row[0] for row in rows],
         "poses": [row[1:] for row in rows],
     }
@@ -99,14 +91,8 @@ def write_trajectory(path: Path, actor: ActorTrajectory, appearance: Appearance)
         temporary.write_text(text, encoding="utf-8")
 
 
-def _format_rows(actor: ActorTrajectory, lift_m: float = 0.0) -> list[tuple[str, ...]]:
+def _format_rows(actor: ActorTrajectory) -> list[tuple[str, ...]]:
     """The rows time, x, y, z, yaw; yaw is within half a turn."""
     rows = np.column_stack([actor.times, actor.poses])
-    rows[:, 3] += lift_m
     rows[:, 4] = wrap_angle(rows[:, 4])
-    return [tuple(map(_format_number, row)) for row in rows.tolist()]
-
-
-def _format_number(value: float) -> str:
-    # Rounded first, so that there is no negative zero.
-    return f"{round(value, _DIGITS) + 0.0:.{_DIGITS}f}"
+    return [tuple(map(format_number, row)) for row in rows.tolist()]

@@ -5,7 +5,7 @@ has so many control steps of all scenes, and goes on with what it has.
 
 A segment is a process of one engine that drives `rounds` rounds; the engines take turns. In a round every
 kind of actors has its turn in a world, with a robot and a driver, which differ from round to round. Each
-episode has a new body and light, and every fourth a new site.
+episode has a new body and light, and with Bullet every fourth a new site.
 """
 
 import gc
@@ -152,7 +152,9 @@ def _drive(turn: Turn, chosen: Combination, folder: Path, seed: int) -> None:
     saved = read_policy_file(_POLICY)[1]["config"] if turn.driver == "policy" else None
     # The settings ask for a policy, which this script makes itself.
     words = [f"world={chosen.world}", *chosen.words(folder / "worlds"), "policy=random"]
-    words += ["randomisation=everything" if chosen.has_sites else "randomisation=body", *_LIMITS]
+    # DART never deletes the meshes of sites (experiments/memory), which would hide any other growth.
+    has_new_sites = chosen.has_sites and chosen.engine != "dart"
+    words += ["randomisation=everything" if has_new_sites else "randomisation=body", *_LIMITS]
     start = time.perf_counter()
     conf = compose(EvaluateConf, words, saved=saved)
     env = make_learning_env(conf, _SCENES, seed)

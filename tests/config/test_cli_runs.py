@@ -91,7 +91,7 @@ def test_a_run_ends_with_a_film_and_does_without_where_it_cannot_be_made(
     def fail(*arguments: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("dune_rl.reporting.views.episode.write_video", fail)
+    monkeypatch.setattr("dune_rl.reporting.views.film.write_video", fail)
     assert call(train.main, "run_dir=unfilmed", *words) == 0
     shown = capsys.readouterr()
     assert "note: film.mp4 is left out" in shown.err and "after 192 frames" in shown.out

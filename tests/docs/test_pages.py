@@ -30,7 +30,9 @@ from dune_rl.commands import doctor, episode_sets, robots
 from dune_rl.commands.command_line import config_folders, parse_arguments
 from dune_rl.commands.drive import parse_words as drive_words
 from dune_rl.commands.engines import parse_settings as engines_settings
-from dune_rl.commands.export import parse_words as export_words
+from dune_rl.commands.export import subjects_of
+from dune_rl.commands.export.gazebo import compose_words
+from dune_rl.commands.export.policy import parse_words as policy_words
 from dune_rl.commands.pages import PAGES as PROGRAMS
 from dune_rl.commands.report import parse_words
 from dune_rl.commands.resuming import AUTO
@@ -109,7 +111,7 @@ def compose_command(words: list[str]) -> None:
     elif program == "dune_rl.report":
         parse_words(rest)
     elif program == "dune_rl.export":
-        export_words(rest)
+        policy_words(rest) if "policy" in subjects_of(overrides) else compose_words(parsed)
     elif program == "dune_rl.trajectory":
         trajectory_words(rest)
     elif program == "dune_rl.view":

@@ -17,7 +17,7 @@ from dune_rl.physics.dart.loading import (
     write_meshes,
 )
 from dune_rl.physics.dart.robot import DartRobot
-from dune_rl.physics.process import share_by_identity
+from dune_rl.physics.process import return_free_memory, share_by_identity
 from dune_rl.physics.shapes import StaticBody
 
 # Bullet's collision margin of triangles of an open surface; spheres alone are not affected by it.
@@ -171,6 +171,8 @@ class CollisionMeshes:
             add_shape(body, shape, 0.0)
         self._group = self.detector.createCollisionGroup()
         self._group.addShapeFrames([*body.getShapeNodes()])
+        # The text of the files, and meshes of the worlds before.
+        return_free_memory()
 
     def _load(self, meshes: Sequence[Array]) -> list[Any]:
         if not self.statics:

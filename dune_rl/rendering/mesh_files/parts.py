@@ -57,7 +57,8 @@ class MeshPart:
     """Triangles of one object in a file: `vertices` (V, 3) [m], `faces` (F, 3), `colours` (F, 3) in sRGB.
 
     `about` has further words about it, such as its material. `ground` says whether it is ground, None if
-    that is to be determined. A part that is not `solid` is only visible.
+    that is to be determined. A part that is not `solid` is only visible, and a `drivable` one is a deck above
+    the ground.
     """
 
     name: str
@@ -68,6 +69,7 @@ class MeshPart:
     ground: bool | None = None
     solid: bool = True
     texture: MeshTexture | None = None
+    drivable: bool = False
 
     @classmethod
     def from_triangles(

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.settings import Settings
+from dune_rl.core.untrusted_files import printable
 from dune_rl.metrics.catalogue import measure_of
 from dune_rl.reporting.collect import collect_comparisons
 from dune_rl.reporting.comparison import EvaluatedPolicy
@@ -52,6 +53,13 @@ class BlockSources:
 
     def _inputs(self, folder: Path) -> ReportInputs:
         if folder not in self._read:
+            # A page may come from somebody else.
+            roots = self.beside.resolve(), Path.cwd()
+            if not any(folder.resolve().is_relative_to(root) for root in roots):
+                raise ConfigError(
+                    f"{printable(str(folder))} is neither below the page's folder nor below this; run the "
+                    "command in a folder above both"
+                )
             self._read[folder] = found = read_inputs([folder])
             # Folders may lie in each other.
             self.skipped += [note for note in found.skipped if note not in self.skipped]

@@ -1,4 +1,4 @@
-"""An episode of one scene under a policy, and its files: contact sheet, video, picture of the world."""
+"""An episode of one scene under a policy, its contact sheet, and a picture of the world."""
 
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from torchrl.envs import EnvBase
 
 from dune_rl.config.build import make_torchrl_env
@@ -26,11 +24,8 @@ from dune_rl.learning.saved_policies import load_policy
 from dune_rl.reporting.views.tracks import TrackRecorder
 from dune_rl.sensors.settings import SensorSettings
 from dune_rl.visualization.contact_sheet import contact_sheet
-from dune_rl.visualization.video import draw_overlays, open_video
 
 Picture = NDArray[np.uint8]
-# The last picture of a video stays this long.
-_LAST_PICTURE_S = 1.5
 
 
 def find_agent(simulation: VectorSimulation, name: str | None) -> tuple[AgentGroup, int]:
@@ -55,13 +50,13 @@ class EpisodeView:
         self._env = make_torchrl_env(conf, 1, conf.seed, plan=plan)
         self.simulation = self._env.simulation
         try:
-            self.group, self._row = find_agent(self.simulation, conf.agent)
+            self.group, self.row = find_agent(self.simulation, conf.agent)
             self._make_policy = policy_factory(conf, self._env)
         except BaseException:
             self._env.close()
             raise
-        self.agent = self.group.names[self._row]
-        self._pictures = Pictures(self.simulation)
+        self.agent = self.group.names[self.row]
+        self.pictures = Pictures(self.simulation)
         self._recorder = TrackRecorder(self.simulation)
 
     def run(self) -> Iterator[bool]:
@@ -86,25 +81,25 @@ class EpisodeView:
 
     def readings(self) -> dict[str, NDArray[Any]]:
         """The agent's readings by name, without the axes of scenes and agents."""
-        return {name: value[0, self._row] for name, value in self.simulation.observe(self.group.name).items()}
+        return {name: value[0, self.row] for name, value in self.simulation.observe(self.group.name).items()}
 
     def render_from_behind(self, width: int, height: int, *, turns_for_agents: bool = False) -> Picture:
         """RGB (height, width, 3) of the agent from behind; see `Pictures.from_behind`."""
-        return self._pictures.from_behind(
+        return self.pictures.from_behind(
             0, width, height, self.conf.samples, agent=self.agent, turns_for_agents=turns_for_agents
         )
 
     def render_world(self) -> Picture:
         """RGB (height, width, 3) of the whole world at the start of the episode."""
         next(self.run())
-        return self._pictures.of_the_place(0, self.conf.width, self.conf.height, max(2, self.conf.samples))
+        return self.pictures.of_the_place(0, self.conf.width, self.conf.height, max(2, self.conf.samples))
 
     def status(self, steps: int) -> list[str]:
-        """The agent's state after `steps` control steps, in a few lines."""
-        state, row = self.simulation.state.groups[self.group.name], self._row
+        """The agent's state after `steps` control steps of the episode, in a few lines."""
+        state, row = self.simulation.state.groups[self.group.name], self.row
         lines = [] if len(self.simulation.agents) == 1 else [self.agent]
         lines += [
-            f"{steps / self.conf.physics.decision_hz:5.1f} s",
+            f"{steps / self.conf.physics.control_hz:5.1f} s",
             f"speed {state.motion.velocity_b[row, 0].round(2) + 0.0:5.2f} m/s",
         ]
         if self.group.task is not None:
@@ -117,7 +112,7 @@ class EpisodeView:
 
     def ending(self) -> str:
         """How the agent's episode ended; empty while it goes on."""
-        return self._recorder.ending(self.group.name, self._row) or ""
+        return self._recorder.ending(self.group.name, self.row) or ""
 
     def close(self) -> None:
         """Release the physics engine."""
@@ -177,39 +172,3 @@ def _shown(conf: ViewConf) -> str:
     if conf.set is not None:
         return f"episode {conf.episode} of {Path(conf.set).stem}"
     return f"seed {conf.seed}" + (f", episode {conf.episode}" if conf.episode else "")
-
-
-def write_video(
-    view: EpisodeView,
-    path: Path,
-    console: Console,
-    also: Callable[[Picture], None] = lambda picture: None,
-) -> Path:
-    """A video of an episode (MP4); `also` is called with each of its pictures, RGB (height, width, 3)."""
-    conf = view.conf
-    every = max(1, round(conf.physics.decision_hz / conf.frames_per_s))
-    rate = conf.physics.decision_hz / every
-    longest = round(conf.longest_s * conf.physics.decision_hz)
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.fields[state]}  at most"),
-        TimeRemainingColumn(),
-    )
-    bar = Progress(*columns, console=console, disable=not console.is_terminal, transient=True)
-    with open_video(path, rate, conf.width, conf.height) as add_frame, bar:
-        task = bar.add_task("rendering", total=longest, state="")
-        for steps, done in enumerate(view.run()):
-            if steps % every and not done:
-                continue
-            lines = view.status(steps)
-            frame = view.render_from_behind(conf.width, conf.height)
-            picture = draw_overlays(frame, view.readings(), view.sensors.get("lidar"), lines, view.ending())
-            add_frame(picture)
-            also(picture)
-            bar.update(task, completed=steps, state=lines[0])
-            if done or steps >= longest:
-                for _ in range(round(_LAST_PICTURE_S * rate)):
-                    add_frame(picture)
-                break
-    return path

@@ -1,16 +1,16 @@
 """Rigid bodies of a URDF: links merged over fixed joints, written as a URDF that all engines read alike."""
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element, ElementTree, SubElement
 
 import numpy as np
 import trimesh
-from trimesh.transformations import euler_from_matrix
 
 from dune_rl.core.errors import RobotError
 from dune_rl.geometry.arrays import Array
+from dune_rl.robots.urdf.elements import words, write_inertial, write_joint, write_shape
 from dune_rl.robots.urdf.meshes import MeshError, UrdfMeshes, primitive_mesh
 from dune_rl.robots.urdf.model import Geometry, Inertial, Joint, UrdfModel
 
@@ -147,9 +147,9 @@ def write_urdfs(
     physics, look = (Element("robot", name=model.name) for _ in range(2))
     for number, body in enumerate(bodies):
         link = SubElement(physics, "link", name=body.name)
-        _write_inertial(link, body.inertial)
+        write_inertial(link, body.inertial)
         for index, shape in enumerate(body.shapes):
-            geometry = _write_shape(link, "collision", shape.geometry)
+            geometry = write_shape(link, "collision", shape.geometry)
             if shape.geometry.kind == "mesh":
                 # The points are in the body's frame and scaled.
                 file = f"hull_{number}_{index}.stl"
@@ -158,7 +158,7 @@ def write_urdfs(
         link = SubElement(look, "link", name=body.name)
         for index, visual in enumerate(body.visuals):
             if visual.mesh is None:
-                _write_shape(link, "visual", visual)
+                write_shape(link, "visual", visual)
                 continue
             try:
                 mesh = _coloured_mesh(visual.mesh, meshes)
@@ -167,17 +167,17 @@ def write_urdfs(
                 continue
             file = f"look_{number}_{index}.ply"
             mesh.export(folder / file)
-            geometry = _write_shape(link, "visual", visual)
-            SubElement(geometry, "mesh", filename=file, scale=_words(visual.size))
+            geometry = write_shape(link, "visual", visual)
+            SubElement(geometry, "mesh", filename=file, scale=words(visual.size))
         if body.visuals and not len(link):
             for index, shape in enumerate(body.shapes):
-                geometry = _write_shape(link, "visual", shape.geometry)
+                geometry = write_shape(link, "visual", shape.geometry)
                 if shape.geometry.kind == "mesh":
                     SubElement(geometry, "mesh", filename=f"hull_{number}_{index}.stl")
     for root in (physics, look):
         for body in bodies:
             if body.joint is not None:
-                _write_joint(root, body.joint)
+                write_joint(root, body.joint)
     paths = folder / "robot.urdf", folder / "look.urdf"
     for path, root in zip(paths, (physics, look), strict=True):
         ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
@@ -222,51 +222,3 @@ def _convex_shape(geometry: Geometry, link: str, meshes: UrdfMeshes, model: Urdf
             "nothing can collide with it; take a box for its <collision>."
         ) from None
     return ConvexShape(replace(geometry, pose=np.eye(4)), corners @ turn.T + place)
-
-
-def _words(numbers: Iterable[float]) -> str:
-    return " ".join(repr(float(number)) for number in numbers)
-
-
-def _write_origin(element: Element, pose: Array) -> None:
-    SubElement(element, "origin", xyz=_words(pose[:3, 3]), rpy=_words(euler_from_matrix(pose, axes="sxyz")))
-
-
-def _write_inertial(link: Element, inertial: Inertial) -> None:
-    element = SubElement(link, "inertial")
-    pose = np.eye(4)
-    pose[:3, 3] = inertial.centre
-    _write_origin(element, pose)
-    SubElement(element, "mass", value=repr(float(inertial.mass)))
-    (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertial.inertia.tolist()
-    values = {"ixx": xx, "iyy": yy, "izz": zz, "ixy": xy, "ixz": xz, "iyz": yz}
-    SubElement(element, "inertia", {name: repr(value) for name, value in values.items()})
-
-
-def _write_shape(link: Element, tag: str, geometry: Geometry) -> Element:
-    """The <geometry> element of a shape; the caller adds the <mesh> of a mesh."""
-    element = SubElement(link, tag)
-    _write_origin(element, geometry.pose)
-    if tag == "visual" and geometry.colour is not None:
-        rgba = _words((*geometry.colour, 1.0))
-        SubElement(SubElement(element, "material", name=rgba), "color", rgba=rgba)
-    holder = SubElement(element, "geometry")
-    if geometry.kind == "box":
-        SubElement(holder, "box", size=_words(geometry.size))
-    elif geometry.kind != "mesh":
-        names = ("radius", "length")
-        SubElement(
-            holder, geometry.kind, {name: repr(x) for name, x in zip(names, geometry.size, strict=False)}
-        )
-    return holder
-
-
-def _write_joint(root: Element, joint: Joint) -> None:
-    element = SubElement(root, "joint", name=joint.name, type=joint.kind)
-    SubElement(element, "parent", link=joint.parent)
-    SubElement(element, "child", link=joint.child)
-    _write_origin(element, joint.pose)
-    SubElement(element, "axis", xyz=_words(joint.axis))
-    if joint.is_limited:
-        lower, upper = joint.limits
-        SubElement(element, "limit", lower=repr(lower), upper=repr(upper), effort="1e6", velocity="1e6")

@@ -85,7 +85,7 @@ def _split_pieces(part: MeshPart, rest: NDArray[np.intp], terrain: HeightField) 
     order = np.argsort(number, kind="stable")
     for piece in np.split(rest[order], np.flatnonzero(np.diff(number[order])) + 1):
         faces = part.faces[piece]
-        if part.solid and (over[faces] < _FLUSH_M).all():
+        if part.solid and not part.drivable and (over[faces] < _FLUSH_M).all():
             continue
         vertices, corners, source = close_surface(part.vertices, faces, height)
         texture = None if part.texture is None else part.texture.select_faces(piece[source])
@@ -138,7 +138,7 @@ def _group_near_pieces(pieces: list[MeshPart]) -> list[list[MeshPart]]:
 def _merge_by_part(groups: list[_Group]) -> list[_Group]:
     # By kind if the file has too many parts.
     merged: dict[object, _Group] = {}
-    for key in (lambda part: id(part), lambda part: (part.kind, part.solid)):
+    for key in (lambda part: id(part), lambda part: (part.kind, part.solid, part.drivable)):
         merged = {}
         for part, pieces in groups:
             merged.setdefault(key(part), (part, []))[1].extend(pieces)
@@ -158,8 +158,9 @@ def _build_props(groups: list[_Group]) -> list[Prop]:
             name = part.name if number == 1 else f"{part.name} #{number}"
             is_solid = part.solid and not part.is_named_water
             mesh, colours = (part.vertices, part.faces), part.colours.astype(np.float32)
+            is_drivable = is_solid and whole.drivable
             look: Any = {"colour": (red, green, blue), "face_colours": colours, "texture": part.texture}
-            props.append(Prop(name, whole.kind, *mesh, is_solid, **look))
+            props.append(Prop(name, whole.kind, *mesh, is_solid, is_drivable, **look))
     return props
 
 

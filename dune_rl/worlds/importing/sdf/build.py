@@ -181,7 +181,7 @@ def _ground_friction(contents: SdfContents, parts: list[MeshPart], report: Impor
     frictions = contents.frictions
     if not frictions:
         return 1.0
-    terrain = next((part.name for part in parts if _is_terrain(part)), None)
+    terrain = next((part.name for part in parts if part.ground or _is_terrain(part)), None)
     for name in ("heightmap", terrain, "plane"):
         if name in frictions:
             ground = frictions[name]

@@ -2,6 +2,7 @@
 
 import os
 from pathlib import Path
+from typing import Literal, get_args
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -26,6 +27,27 @@ Mesh = tuple[Array, NDArray[np.int32]]
 _ROUND_SIDES = 24
 _LARGEST_M = 1e5
 Colour = tuple[float, float, float]
+# What a model is to the importer, as an attribute `role` of that namespace: SDF has none for it.
+Role = Literal["ground", "deck", "obstacle", "robot"]
+ROLES = "urn:dune_rl"
+_ROLE = f"{{{ROLES}}}role"
+
+
+def role_attribute(role: Role | None) -> dict[str, str]:
+    """The attribute of a <model> or an <include> that states its role; nothing for None."""
+    return {} if role is None else {_ROLE: role}
+
+
+def parse_role(element: Element) -> Role | None:
+    """The role that a <model> or an <include> states; raises `WorldError` for an unknown one."""
+    found = element.get(_ROLE)
+    for role in get_args(Role):
+        if found == role:
+            return role
+    if found is not None:
+        known = ", ".join(get_args(Role))
+        raise WorldError(f"the role of a <model> must be one of {known} (got {printable(found, 40)!r}).")
+    return None
 
 
 def parse_numbers(element: Element | None, count: int, default: tuple[float, ...]) -> Array:

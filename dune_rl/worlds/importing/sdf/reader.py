@@ -26,11 +26,13 @@ from dune_rl.rendering.mesh_files.parts import GREY, MeshPart, guess_colour
 from dune_rl.worlds.actor_trajectory import ActorTrajectory
 from dune_rl.worlds.importing.sdf.actors import MOST_ACTORS, parse_actor
 from dune_rl.worlds.importing.sdf.elements import (
+    Role,
     SdfFileFinder,
     build_primitive,
     parse_colour,
     parse_numbers,
     parse_pose,
+    parse_role,
     parse_sun,
 )
 
@@ -76,12 +78,15 @@ class SdfContents:
 
 
 class _Place(NamedTuple):
-    """Where elements stand: the files that they may refer to, pose (4, 4), name, and the including files."""
+    """Where elements stand: the files that they may refer to, pose (4, 4), name, the including files, and
+    the role of the model.
+    """
 
     folder: WorldFiles
     matrix: Array
     name: str = ""
     chain: tuple[Path, ...] = ()
+    role: Role | None = None
 
 
 class SdfReader:
@@ -119,6 +124,8 @@ class SdfReader:
         for child in element:
             self._elements += 1
             self._limit(self._elements, _MOST_ELEMENTS, "elements")
+            if parse_role(child) == "robot":
+                continue
             if child.tag in ("world", "model"):
                 # In Gazebo, a model without <static> falls and can be pushed.
                 if child.tag == "model" and _text(child, "static") not in ("true", "1"):
@@ -126,7 +133,8 @@ class SdfReader:
                 # A world's name is ignored; the name of an <include> replaces the model's own.
                 own = "" if child.tag == "world" else child.get("name") or ""
                 full = place.name if element.tag == "sdf" and place.name else _path(place.name, own)
-                self._read_children(child, self._at(place, child)._replace(name=full))
+                role = parse_role(child) or place.role
+                self._read_children(child, self._at(place, child)._replace(name=full, role=role))
             elif child.tag == "actor":
                 actor = parse_actor(child, place.matrix, self._report)
                 self._contents.actors += [] if actor is None else [actor]
@@ -199,7 +207,9 @@ class SdfReader:
                 self._read_height_map(shape, place, colour, visuals)
                 self._record_friction("heightmap", friction)
             elif shape.tag != "empty":
-                parts = list(self._read_mesh(shape, place, colour, solid))
+                parts = [
+                    _with_role(part, place.role) for part in self._read_mesh(shape, place, colour, solid)
+                ]
                 for part in parts:
                     self._faces += len(part.faces)
                     self._record_friction(part.name, friction)
@@ -312,6 +322,11 @@ class SdfReader:
         else:
             turn = self._at(place, element).matrix[:3, :3]
             self._contents.light = parse_sun(element, turn, self._report)
+
+
+def _with_role(part: MeshPart, role: Role | None) -> MeshPart:
+    """The part of a model that states its role, if it states one."""
+    return part if role is None else replace(part, ground=role == "ground", drivable=role == "deck")
 
 
 def mean_colour(picture: Bytes) -> Colour:

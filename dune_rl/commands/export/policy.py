@@ -1,4 +1,4 @@
-"""`python -m dune_rl.export`: write a trained policy as an ONNX file, and compare both."""
+"""Export of a trained policy as an ONNX file, which is compared with the policy."""
 
 import time
 from collections.abc import Sequence
@@ -27,8 +27,8 @@ _COMPARED, _BATCH, _TIMED = 10_000, 500, 300
 _TOLERANCE = 1e-4
 
 
-class ExportConf(Settings):
-    """Settings of an export."""
+class PolicyConf(Settings):
+    """Settings of a policy's export."""
 
     checkpoint: str = Field(min_length=1)
     out: str = Field(min_length=1)
@@ -36,22 +36,21 @@ class ExportConf(Settings):
     overwrite: bool = False
 
 
-def parse_words(words: Sequence[str]) -> ExportConf:
+def parse_words(words: Sequence[str]) -> PolicyConf:
     """The settings among the words of a command line; `ConfigError` where they are not valid."""
     values = {}
     for word in words:
         key, equals, values[key] = word.partition("=")
         if not equals:
             raise ConfigError(f"cannot read {word!r}; write key=value (see --help)")
-    conf = validate(ExportConf, values)
+    conf = validate(PolicyConf, values)
     if Path(conf.out).suffix != ".onnx":
         raise ConfigError(f"out={conf.out} must end in .onnx")
     return conf
 
 
-def run(words: Sequence[str]) -> None:
-    """Write the file that the command line asks for; raises ConfigError where it acts otherwise."""
-    conf = parse_words(command_line.parse_arguments(words).overrides)
+def export_policy(conf: PolicyConf) -> None:
+    """Write the file that the settings ask for; raises ConfigError where it acts otherwise."""
     out = Path(conf.out)
     if out.is_dir():
         raise ConfigError(f"{out} is a folder: name a file")

@@ -1,4 +1,4 @@
-"""Contact sheets of any readings, and what is laid over films."""
+"""Contact sheets of any readings."""
 
 from collections.abc import Iterator
 
@@ -7,10 +7,8 @@ import pytest
 from simulations import act, observation, started_simulation
 
 from dune_rl.sensors.conf import parse_sensors
-from dune_rl.sensors.lidar import LidarConf
 from dune_rl.sensors.settings import SensorSettings
 from dune_rl.visualization.contact_sheet import contact_sheet
-from dune_rl.visualization.video import draw_overlays
 
 PICTURE = np.zeros((6, 8, 3), np.uint8)
 # The first words of each panel's title.
@@ -148,65 +146,3 @@ def test_a_camera_that_sees_only_sky_makes_a_sheet_too() -> None:
 def test_a_strip_of_one_column_makes_a_sheet_too() -> None:
     conf = parse_sensors({"depth_strip": {"columns": 1}})
     assert len(panels({"depth_strip": np.full(1, 2.0, np.float32)}, conf)) == 2
-
-
-LIDAR = LidarConf()
-FRAME = np.full((120, 160, 3), 90, np.uint8)
-SIDE = 120 // 3
-
-
-def changed(observation: dict[str, np.ndarray], lines=(), headline: str = "") -> np.ndarray:
-    """Which pixels (120, 160) of an even frame are drawn on."""
-    before = FRAME.copy()
-    picture = draw_overlays(before, observation, LIDAR, list(lines), headline)
-    assert picture.shape == FRAME.shape and picture.dtype == np.uint8
-    np.testing.assert_array_equal(before, FRAME)
-    return (picture != FRAME).any(axis=-1)
-
-
-def test_nothing_is_laid_over_where_there_is_nothing_to_say() -> None:
-    assert not changed({}).any()
-    assert not changed({"imu": np.zeros(9, np.float32), "lidar_past": np.zeros(32, np.float32)}).any()
-
-
-def test_text_is_laid_over_at_the_top() -> None:
-    rows, columns = np.nonzero(changed({}, ["speed 1.00 m/s"]))
-    assert rows.max() < 60 and columns.min() < 30
-    rows, columns = np.nonzero(changed({}, headline="stuck"))
-    assert abs(columns.mean() - 80) < 4 and rows.max() < 60
-
-
-def test_the_camera_s_picture_is_laid_over_at_the_top_right() -> None:
-    red = np.zeros((8, 16, 3), np.uint8)
-    red[..., 0] = 255
-    picture = draw_overlays(FRAME, {"camera_rgb": red}, LIDAR, [])
-    rows, columns = np.nonzero((picture == [255, 0, 0]).all(axis=-1))
-    assert (np.ptp(columns) + 1, np.ptp(rows) + 1) == (SIDE, SIDE // 2)
-    assert columns.max() < 160 and columns.min() > 80 and rows.max() < 60
-
-
-@pytest.mark.parametrize(("segment", "right", "down"), [(0, 0, 1), (8, 1, 0), (16, 0, -1), (24, -1, 0)])
-def test_returns_lie_where_they_come_from(segment: int, right: int, down: int) -> None:
-    # The first segment is behind, and they run counter-clockwise: ahead is up, and left is left.
-    nothing = np.full(32, 12.0, np.float32)
-    ranges = nothing.copy()
-    ranges[segment] = 8.0
-    empty, seen = (draw_overlays(FRAME, {"lidar": scan}, LIDAR, []) for scan in (nothing, ranges))
-    rows, columns = np.nonzero((empty != seen).any(axis=-1))
-    centre = np.array([160 - 14 - SIDE / 2, 120 - 14 - SIDE / 2])
-    offset = np.array([columns.mean(), rows.mean()]) - centre
-    reach = 8.0 / 12.0 * SIDE / 2
-    # Half a segment aside, since two of them meet straight ahead.
-    assert np.linalg.norm(offset) == pytest.approx(reach, abs=2.0)
-    assert offset @ [right, down] > 0.9 * np.linalg.norm(offset)
-
-
-def test_the_goal_lies_where_it_is() -> None:
-    scan = {"lidar": np.full(32, 12.0, np.float32)}
-    places = []
-    for bearing in (0.0, np.pi / 2):
-        goal = {"goal": np.array([6.0, bearing], np.float32)}
-        drawn = draw_overlays(FRAME, scan | goal, LIDAR, []) != draw_overlays(FRAME, scan, LIDAR, [])
-        rows, columns = np.nonzero(drawn.any(axis=-1))
-        places.append((columns.mean() - (160 - 14 - SIDE / 2), rows.mean() - (120 - 14 - SIDE / 2)))
-    np.testing.assert_allclose(places, [(0.0, -SIDE / 4), (-SIDE / 4, 0.0)], atol=1.5)

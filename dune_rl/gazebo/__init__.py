@@ -1,0 +1,1 @@
+"""Worlds, actors and robots as files for Gazebo: SDF, URDF and meshes."""

@@ -1,0 +1,79 @@
+"""Loops over the pixels of large pictures: the ground that they show."""
+
+from typing import Any
+
+import numpy as np
+
+from dune_rl.geometry.compiled import compile_function
+
+# Noise finer than the ground's texture: a tile repeated over the ground.
+GRAIN_TILE_M, GRAIN_TEXELS = 2.56, 512
+_GRAIN_STRENGTH, _GRAIN_FADES_M = 0.16, 14.0
+
+
+@compile_function
+def _weigh(grid: Any, at: Any, corner: Any, per_m: Any, weights: Any) -> tuple[int, int]:
+    """Row and column of the texel below a point `at`, and shares `weights` (4,) of it and its neighbours."""
+    rows, columns = grid.shape[0], grid.shape[1]
+    row = (at[1] - corner[1]) * per_m[1] * np.float32(rows) - np.float32(0.5)
+    column = (at[0] - corner[0]) * per_m[0] * np.float32(columns) - np.float32(0.5)
+    row = min(max(row, np.float32(0.0)), np.float32(rows - 1))
+    column = min(max(column, np.float32(0.0)), np.float32(columns - 1))
+    top, left = min(int(row), rows - 2), min(int(column), columns - 2)
+    v, u = row - np.float32(top), column - np.float32(left)
+    weights[0], weights[1] = (1 - v) * (1 - u), (1 - v) * u
+    weights[2], weights[3] = v * (1 - u), v * u
+    return top, left
+
+
+@compile_function
+def sample_ground(
+    points: Any,
+    chosen: Any,
+    corner: Any,
+    per_m: Any,
+    colours: Any,
+    slopes: Any,
+    shares: Any,
+    albedo: Any,
+    normals: Any,
+    sky_share: Any,
+) -> None:
+    """Fill `albedo` (N, 3), `normals` (N, 3) and `sky_share` (N,) at the `chosen` ones of points (N, 3).
+
+    `colours` (R, C, 3), `slopes` (R, C, 3; unit normals) and `shares` (R, C) are grids over the ground, which
+    begins at `corner` (2,) [m] and has `per_m` (2,) parts of its sides in a metre.
+    """
+    weights = np.empty(4, np.float32)
+    for k in chosen:
+        top, left = _weigh(colours, points[k], corner, per_m, weights)
+        for axis in range(3):
+            upper = colours[top, left, axis] * weights[0] + colours[top, left + 1, axis] * weights[1]
+            lower = colours[top + 1, left, axis] * weights[2] + colours[top + 1, left + 1, axis] * weights[3]
+            albedo[k, axis] = upper + lower
+        top, left = _weigh(slopes, points[k], corner, per_m, weights)
+        for axis in range(3):
+            upper = slopes[top, left, axis] * weights[0] + slopes[top, left + 1, axis] * weights[1]
+            lower = slopes[top + 1, left, axis] * weights[2] + slopes[top + 1, left + 1, axis] * weights[3]
+            normals[k, axis] = upper + lower
+        top, left = _weigh(shares, points[k], corner, per_m, weights)
+        upper = shares[top, left] * weights[0] + shares[top, left + 1] * weights[1]
+        sky_share[k] = upper + shares[top + 1, left] * weights[2] + shares[top + 1, left + 1] * weights[3]
+
+
+@compile_function
+def add_grain(points: Any, ranges: Any, chosen: Any, grain: Any, share: float, albedo: Any) -> None:
+    """Vary the brightness of `albedo` (N, 3) at the `chosen` ones of points (N, 3), `ranges` (N,) away.
+
+    The noise of `grain` (texels squared,) fades out where it would flicker.
+    """
+    per_m = np.float32(GRAIN_TEXELS / GRAIN_TILE_M)
+    for k in chosen:
+        # Sheared, so that vertical walls have noise, too.
+        slant = points[k, 2] * np.float32(0.71)
+        column = int((points[k, 0] + slant) * per_m) & (GRAIN_TEXELS - 1)
+        row = int((points[k, 1] + slant) * per_m) & (GRAIN_TEXELS - 1)
+        fade = np.float32(_GRAIN_STRENGTH * share) * np.exp(ranges[k] * np.float32(-1.0 / _GRAIN_FADES_M))
+        bright = np.float32(1.0) + grain[row * GRAIN_TEXELS + column] * fade
+        for axis in range(3):
+            albedo[k, axis] *= bright
