@@ -13,6 +13,7 @@ from dune_rl.geometry.arrays import Array
 from dune_rl.ros.dds import Participant
 from dune_rl.ros.live_readings import LiveReadings, StoppedWaitingError
 from dune_rl.ros.settings import DrivingConf
+from dune_rl.ros.transforms import BASE
 from dune_rl.ros.velocity_commands import TWIST, TWIST_STAMPED, twist_of_action
 from dune_rl.sensors.own_motion import GoalConf
 from dune_rl.sensors.sensor import Reading
@@ -112,7 +113,8 @@ class LiveDriver:
         if interface.goal_m is not None:
             # A policy that reads other things of its goal does not know when it is there.
             parts.setdefault(self._goal, goal_source(self._goal))
-        self._topic = f"/{'' if robot is None else robot.strip('/') + '/'}cmd_vel"
+        prefix = "" if robot is None else f"{robot.strip('/')}/"
+        self._topic, self._frame = f"/{prefix}cmd_vel", base or f"{prefix}{BASE}"
         self._limits = SpeedLimits(conf)
         self._began_s = time.monotonic()
         self.summary = DriveSummary()
@@ -209,6 +211,8 @@ class LiveDriver:
 
     def _stop_for(self, fault: str) -> None:
         self._stand()
+        # A memory would go on from before, or from what was not finite.
+        self._begins = True
         has_driven = self.summary.decisions > 0
         # What has never worked will hardly do so later.
         if not has_driven and time.monotonic() - self._began_s > self._conf.wait_s:
@@ -250,6 +254,6 @@ class LiveDriver:
         types, now_ns = self._participant.types, self._readings.now_ns
         message = types.twist(np.array([speed_mps, 0.0, 0.0]), np.array([0.0, 0.0, yaw_rate_radps]))
         if self._conf.stamped:
-            header = types.header(now_ns, "base_link")
+            header = types.header(now_ns, self._frame)
             message = types.make("geometry_msgs/TwistStamped", header=header, twist=message)
         self._participant.write(self._topic, message, now_ns)

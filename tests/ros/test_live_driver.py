@@ -265,6 +265,8 @@ def test_an_action_that_is_no_number_stops_the_robot() -> None:
     rig.run(40, spoil)
     assert len(rig.stops) == 1 and "the policy's action is [nan, 0.0]" in rig.stops[0]
     assert rig.commands[-2] == (0.0, 0.0)
+    # A recurrent policy forgets it.
+    assert rig.begins[-1]
 
 
 def test_the_robot_stands_at_the_goal_and_goes_to_the_next() -> None:
