@@ -23,8 +23,8 @@ from dune_rl.learning.saved_policies import describe_selection, saved_policy_in
 
 # Compared observations, in batches of these; and those of which each is timed.
 _COMPARED, _BATCH, _TIMED = 10_000, 500, 300
-# Above it two commands are no longer the same; sums of 32-bit floats in another order differ by 1e-5.
-_TOLERANCE = 1e-4
+# Above this share of an action's range, two actions are no longer the same.
+_TOLERANCE = 1e-5
 
 
 class PolicyConf(Settings):
@@ -96,27 +96,30 @@ def _compared(out: Path, acting: ActingNetwork, spec: PolicySpec) -> str:
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     session = onnxruntime.InferenceSession(str(out), options, providers=["CPUExecutionProvider"])
     most, generator_state = 0.0, torch.get_rng_state()
+    # Components of a memory are between -1 and 1.
+    ranges = [np.subtract(spec.high, spec.low) if name == "action" else 2.0 for name in acting.outputs]
     torch.manual_seed(0)
     for _ in range(_COMPARED // _BATCH):
         given = sample_inputs(acting, spec, _BATCH)
         with torch.no_grad():
             wanted = acting(*given)
         found = session.run(None, _named(acting, given))
-        most = max(most, *(float(np.abs(a.numpy() - b).max()) for a, b in zip(wanted, found, strict=True)))
-    one = _named(acting, sample_inputs(acting, spec, 1))
+        for one, other, size in zip(wanted, found, ranges, strict=True):
+            most = max(most, float((np.abs(one.numpy() - other) / size).max()))
+    single = _named(acting, sample_inputs(acting, spec, 1))
     torch.set_rng_state(generator_state)
     begun = time.perf_counter()
     for _ in range(_TIMED):
-        session.run(None, one)
+        session.run(None, single)
     took_ms = 1e3 * (time.perf_counter() - begun) / _TIMED
     if most > _TOLERANCE:
         out.unlink()
         raise ConfigError(
-            f"the file acted otherwise than the policy (by up to {most:.2g}) and was removed; "
+            f"the file acted otherwise than the policy (by up to {most:.2g} of an action's range) and was removed; "
             "keep to the checkpoint, and report this"
         )
     return (
-        f"actions differ by at most {most:.1g} over {_COMPARED:,} observations; "
+        f"actions differ by at most {most:.1g} of their range over {_COMPARED:,} observations; "
         f"{took_ms:.2f} ms each, one thread"
     )
 

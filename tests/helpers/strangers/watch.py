@@ -111,13 +111,22 @@ class Watch:
         if event == "open":
             path, _, flags = arguments
             writes = bool(int(flags or 0) & (os.O_WRONLY | os.O_RDWR | os.O_CREAT))
+            if writes and self._is_compiled(path):
+                return None
             roots = (self._own, "/dev/null", "/dev/shm") if writes else self._readable
             return None if self._is_in(path, roots) else f"{'writes' if writes else 'reads'} {path!r}"
         if event in _LISTING:
             return None if self._is_in(arguments[0] or ".", self._readable) else f"lists {arguments[0]!r}"
+        if event in _CHANGING and self._is_compiled(arguments[0]):
+            return None
         if event in _CHANGING:
             return None if self._is_in(arguments[0], (self._own,)) else f"{event} {arguments[0]!r}"
         return None
+
+    def _is_compiled(self, path: Any) -> bool:
+        """Whether numba keeps the code there that it compiled."""
+        folders = str(path).split(os.sep)
+        return "__pycache__" in folders and self._is_in(path, (str(package_folder().resolve()),))
 
     def _is_in(self, path: Any, roots: Sequence[str]) -> bool:
         if isinstance(path, int):
