@@ -115,8 +115,8 @@ def _compared(out: Path, acting: ActingNetwork, spec: PolicySpec) -> str:
     if most > _TOLERANCE:
         out.unlink()
         raise ConfigError(
-            f"the file acted otherwise than the policy (by up to {most:.2g} of an action's range) and was removed; "
-            "keep to the checkpoint, and report this"
+            f"the file acted otherwise than the policy (by up to {most:.2g} of an action's range) and was "
+            "removed; keep to the checkpoint, and report this"
         )
     return (
         f"actions differ by at most {most:.1g} of their range over {_COMPARED:,} observations; "
