@@ -1,5 +1,6 @@
 """What the agents of a group are made of: the interface of their bodies."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from dune_rl.env.proximity import Outline
@@ -8,7 +9,7 @@ from dune_rl.geometry.arrays import Array, Counts, Flags
 from dune_rl.physics.interface import PhysicsScene
 from dune_rl.physics.robot_body import RobotBody
 from dune_rl.physics.shapes import KinematicShape
-from dune_rl.rendering.moving_mesh import MovingMesh, PosedMesh
+from dune_rl.rendering.moving_mesh import MovingMesh, PosedMesh, RayMesh
 from dune_rl.robots.robot import BodyMotion
 from dune_rl.state.body_description import BodyDescription
 from dune_rl.state.sensor_carrier import SensorCarrier
@@ -78,6 +79,10 @@ class Body:
     def pictures(self, row: int) -> list[PosedMesh]:
         """What pictures show of a body now."""
         raise NotImplementedError
+
+    def looks(self, row: int) -> Sequence[RayMesh]:
+        """The meshes that `pictures` has of a body one after another; none where it is the same each time."""
+        return ()
 
     def joint_angles(self, row: int) -> dict[str, float]:
         """Angles [rad] of the joints of a robot by name; empty for kinematic bodies."""

@@ -2,6 +2,7 @@
 dynamics.
 """
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
@@ -17,7 +18,7 @@ from dune_rl.geometry.arrays import Array, Counts, Flags
 from dune_rl.geometry.compiled import compile_function
 from dune_rl.geometry.frames import rotation_from_angles
 from dune_rl.physics.interface import PhysicsScene
-from dune_rl.rendering.moving_mesh import MovingMesh, PosedMesh
+from dune_rl.rendering.moving_mesh import MovingMesh, PosedMesh, RayMesh
 from dune_rl.robots.robot import BodyMotion, rectangle_outline
 from dune_rl.state.body_description import BodyDescription
 from dune_rl.state.sensor_carrier import SensorCarrier
@@ -164,6 +165,11 @@ class KinematicBody(Body):
         motion = self.motion
         shape = self._mesh.frame(motion.frames[row])
         return [PosedMesh(shape, motion.position_w[row].copy(), motion.rotation[row].copy())]
+
+    def looks(self, row: int) -> Sequence[RayMesh]:
+        """The meshes of a body in all phases of its motion."""
+        first = int(self._first_frames[row])
+        return self._mesh.frames[first : first + self._num_frames]
 
     def shapes(self, names: tuple[str, ...]) -> SceneBodies:
         return SceneBodies(kinematics=tuple(self.conf.collision_shape(name) for name in names))

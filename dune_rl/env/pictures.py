@@ -1,5 +1,6 @@
 """Pictures of a scene for people: from behind an agent, or from anywhere."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -76,6 +77,14 @@ class Pictures:
                 if group.task is not None and group.description.is_robot:
                     flags[f"goal_of_{name}"] = [self._flag_at(scene, group.starts.goals_w[row])]
         return agents | flags
+
+    def looks_by_name(self, scene: int) -> dict[str, Sequence[RayMesh]]:
+        """The meshes that each agent is shown by one after another, as `Body.looks`, there or not."""
+        return {
+            name: group.body.looks(scene * group.count + number)
+            for group in self._simulation.groups
+            for number, name in enumerate(group.names)
+        }
 
     def scenery(self, scene: int) -> tuple[BakedScenery, ParticipatingMedia]:
         """A scene's world in the light of its weather, and what is in the air."""

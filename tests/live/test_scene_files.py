@@ -61,6 +61,7 @@ def test_a_gltf_has_each_body_where_it_was(
     assert scene.extents[1] < 5.0 < scene.extents[0]
 
 
+@pytest.mark.slow
 def test_the_legs_of_people_are_shown_one_after_another(call: Call, folder: Path) -> None:
     assert call(*WORDS, "actors=pedestrians", "view=gltf", "longest_s=2") == 0
     content = (folder / "views" / "flat_seed4.glb").read_bytes()
@@ -80,6 +81,7 @@ def test_the_legs_of_people_are_shown_one_after_another(call: Call, folder: Path
     np.testing.assert_array_equal(shown, 1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["html", "gltf"])
 def test_the_same_seed_gives_the_same_file(kind: str, _viser: None, call: Call, folder: Path) -> None:
     contents = []

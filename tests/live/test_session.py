@@ -87,12 +87,14 @@ def test_a_seed_begins_the_same_episode_again(open_session: Open) -> None:
     assert not np.array_equal(other, first)
 
 
+@pytest.mark.slow
 def test_a_driver_that_cannot_drive_here_leaves_the_last_one(open_session: Open) -> None:
     session = open_session("policy=go_to_goal", "robot=hyperdog")
     session.choose("dwa")
     assert session.driver == "go_to_goal" == session.drivers.value
 
 
+@pytest.mark.slow
 def test_keys_drive_the_agent_and_take_over(open_session: Open) -> None:
     session = open_session("policy=go_to_goal")
     positions(session, 3)

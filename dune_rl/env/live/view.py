@@ -1,6 +1,7 @@
 """A scene of a simulation as a page: bodies, beams, ways, and the numbers of the agent that is followed."""
 
 import time
+from collections import deque
 from collections.abc import Sequence
 from typing import Any
 
@@ -32,8 +33,8 @@ _ABOVE_GROUND_M = 0.06
 _NUMBERS_PER_S = 5.0
 _BEHIND_M, _ABOVE_M, _TARGET_M = 4.2, 3.0, 0.4
 _TERM = "reward/"
-# A track is sent in pieces of this many steps: only the last one changes.
-_PIECE = 40
+# Distance of the points of a track; the oldest ones of a long track are left out.
+_BETWEEN_M, _MOST_TRACK_POINTS = 0.05, 2_000
 
 
 class SceneView:
@@ -42,8 +43,7 @@ class SceneView:
     def __init__(self, simulation: VectorSimulation, web: WebScene, group: AgentGroup, row: int) -> None:
         self._simulation, self._web, self.group, self.row = simulation, web, group, row
         self.pictures = Pictures(simulation)
-        self._track: list[Array] = []
-        self._pieces = 0
+        self._track: deque[Array] = deque(maxlen=_MOST_TRACK_POINTS)
 
     @property
     def position(self) -> Array:
@@ -58,9 +58,8 @@ class SceneView:
     def begin(self) -> None:
         """Show the start of an episode."""
         self._web.show_world(*self.pictures.scenery(0))
-        for piece in range(self._pieces + 1):
-            self._web.show_lines(f"tracks/{piece}", np.zeros((0, 2, 3)), _TRACK)
-        self._track, self._pieces = [], 0
+        self._web.load_looks(self.pictures.looks_by_name(0))
+        self._track.clear()
         self._web.look(*self._view_from_behind())
         self.update()
 
@@ -104,11 +103,10 @@ class SceneView:
     def _extend_track(self) -> None:
         """Draw the way that the agent has come, on the ground."""
         x, y, _ = self.position
-        self._track.append(np.array([x, y, self._ground(x, y) + _ABOVE_GROUND_M]))
-        points = np.array(self._track)
-        self._web.show_lines(f"tracks/{self._pieces}", _segments(points), _TRACK, width=3.0)
-        if len(self._track) > _PIECE:
-            self._pieces, self._track = self._pieces + 1, self._track[-1:]
+        point = np.array([x, y, self._ground(x, y) + _ABOVE_GROUND_M])
+        if not self._track or np.linalg.norm(point - self._track[-1]) > _BETWEEN_M:
+            self._track.append(point)
+            self._web.show_lines("track", _segments(np.array(self._track)), _TRACK, width=3.0)
 
     def _show_ways(self, is_shown: bool) -> None:
         """Draw the paths on which agents are now."""

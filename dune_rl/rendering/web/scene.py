@@ -38,12 +38,11 @@ def name_parts(bodies: Mapping[str, Sequence[PosedMesh]]) -> Iterator[tuple[str,
 
 @dataclass
 class _Part:
-    """The node of a part of a body, its meshes, the mesh that it shows now, and the mesh it showed before."""
+    """The node of a part of a body, its meshes, and the mesh that it shows now."""
 
     frame: Any
     meshes: dict[RayMesh, Any] = field(default_factory=dict)
     shown: RayMesh | None = None
-    last: RayMesh | None = None
 
 
 class WebScene:
@@ -99,6 +98,12 @@ class WebScene:
             "/lights/sky", sky_color=sky, ground_color=ground, intensity=np.pi * sky_strength
         )
 
+    def load_looks(self, looks: Mapping[str, Sequence[RayMesh]]) -> None:
+        """Send the meshes that bodies of one part show one after another, so that none is missed later."""
+        for name, meshes in looks.items():
+            for mesh in meshes:
+                self._load_mesh(f"{name}/0", mesh)
+
     def show_bodies(self, bodies: Mapping[str, Sequence[PosedMesh]]) -> None:
         """Pose the bodies, and hide those that are not there."""
         parts = dict(name_parts(bodies))
@@ -110,63 +115,53 @@ class WebScene:
             _set(self._parts[name].frame, visible=False)
 
     def _show_part(self, name: str, part: PosedMesh, wxyz: Array) -> None:
-        node = self._parts.get(name)
-        if node is None:
-            frame = self._server.scene.add_frame(f"/bodies/{name}", show_axes=False)
-            node = self._parts[name] = _Part(frame)
+        self._load_mesh(name, part.solid)
+        node = self._parts[name]
         _set(node.frame, visible=True)
         if not np.array_equal(node.frame.position, part.position):
             node.frame.position = part.position
         if not np.array_equal(node.frame.wxyz, wxyz):
             node.frame.wxyz = wxyz
-        self._show_mesh(name, node, part.solid)
-
-    def _show_mesh(self, name: str, node: _Part, solid: RayMesh) -> None:
-        """Show a mesh of a part. A new one takes a moment to load: the one before stays for a step."""
-        if node.last is not None:
-            _set(node.meshes[node.last], visible=node.last is solid)
-            node.last = None
-        if node.shown is solid:
-            return
-        is_new = solid not in node.meshes
-        if is_new:
-            path = f"/bodies/{name}/mesh_{len(node.meshes)}"
-            node.meshes[solid] = self._server.scene.add_glb(path, _glb_of(solid.shape))
-        _set(node.meshes[solid], visible=True)
-        if node.shown is not None:
-            if is_new:
-                node.last = node.shown
-            else:
+        if node.shown is not part.solid:
+            _set(node.meshes[part.solid], visible=True)
+            if node.shown is not None:
                 _set(node.meshes[node.shown], visible=False)
-        node.shown = solid
+            node.shown = part.solid
+
+    def _load_mesh(self, name: str, mesh: RayMesh) -> None:
+        """Send a mesh of a part, unless it has been sent; it is not shown yet."""
+        scene = self._server.scene
+        if name not in self._parts:
+            self._parts[name] = _Part(scene.add_frame(f"/bodies/{name}", show_axes=False, visible=False))
+        meshes = self._parts[name].meshes
+        if mesh not in meshes:
+            path = f"/bodies/{name}/mesh_{len(meshes)}"
+            meshes[mesh] = scene.add_glb(path, _glb_of(mesh.shape), visible=False)
 
     def show_lines(self, name: str, ends: Array, colour: Colour, width: float = 2.0) -> None:
         """Show line segments (N, 2, 3) [m] in one colour, `width` in pixels."""
-        points = ends.astype(np.float32)
-        if name in self._drawn:
-            self._redraw(name, points)
-        elif len(points):
-            colours = np.array(colour, np.uint8)
+        if name not in self._drawn:
+            nothing = np.zeros((1, 2, 3), np.float32)
             self._drawn[name] = self._server.scene.add_line_segments(
-                f"/{name}", points, colours, thickness=width, thickness_units="screen"
+                f"/{name}", nothing, colour, thickness=width, thickness_units="screen", visible=False
             )
+        self._redraw(name, ends.astype(np.float32))
 
     def show_points(self, name: str, points: Array, near: Array, colour: Colour, size_m: float) -> None:
         """Show points (N, 3) [m] in one colour. They are sent in 16 bits a number, about `near` (3,)."""
-        local = (points - near).astype(np.float16)
-        if name in self._drawn:
-            self._redraw(name, local)
-            self._drawn[name].position = near
-        elif len(points):
+        if name not in self._drawn:
             self._drawn[name] = self._server.scene.add_point_cloud(
                 f"/{name}",
-                local,
+                np.zeros((1, 3), np.float16),
                 colour,
                 point_size=size_m,
                 point_shape="circle",
                 point_shading="flat",
-                position=near,
+                visible=False,
             )
+        self._redraw(name, (points - near).astype(np.float16))
+        if len(points):
+            self._drawn[name].position = near
 
     def _redraw(self, name: str, points: Values) -> None:
         node = self._drawn[name]
