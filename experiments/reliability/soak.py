@@ -43,9 +43,9 @@ _SCENES, _STEPS = 16, 1_000
 # Another body in every episode, and another site in every fourth, as sites take seconds to build.
 _LIMITS = ("task.terminations.time_limit.max_steps=240", "randomisation.episodes_per_world=4")
 _POLICY = Path(__file__).parents[1] / "policies" / "all_worlds_1" / "policy.pt"
-_DRIVERS = ("random", "go_to_goal", "random", "oracle", "random", "dwa_oracle", "go_to_goal", "planner")
+_DRIVERS = ("random", "go_to_goal", "random", "oracle", "random", "mppi", "go_to_goal", "planner")
 # The published policy is of this robot.
-_POLICY_ROBOT, _POLICY_DRIVERS = "rover_zero", ("policy", "policy", "random", "dwa_oracle", "policy", "mppi")
+_POLICY_ROBOT, _POLICY_DRIVERS = "rover_zero", ("policy", "policy", "random", "oracle", "policy", "mppi")
 _ROOMY_WORLD = "flat"
 # Deeper below the terrain than sinkage or a steep ditch can account for.
 _FALLEN_M = 0.5
