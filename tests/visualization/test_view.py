@@ -172,7 +172,8 @@ def test_the_episode_s_seed_is_not_the_training_s() -> None:
     [
         (["width=127"], "width must be a multiple of 2 (got 127)"),
         (["height=32"], "height must be at least 64 (got 32)"),
-        (["view=film"], "view must be one of sheet, video, both, orbit, map (got 'film')"),
+        (["view=film"], "view must be one of sheet, video, both, orbit, map, live, html, gltf (got 'film')"),
+        (["view=live", "port=0"], "port must be at least 1 (got 0)"),
         (["frames_per_s=0"], "frames_per_s must be above 0.0 (got 0)"),
         (["agent=rover_7"], "agent: there is no agent 'rover_7'; did you mean rover_0?"),
         (["set=flat-v1", "episode=200", "view=map"], "set=flat-v1 has the episodes 0 to 199"),
