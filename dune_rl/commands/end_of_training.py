@@ -27,9 +27,9 @@ def film_run(console: Console, conf: Conf, result: "TrainingResult") -> None:
         **environment,
         checkpoint=str(result.run_dir),
         seed=conf.seed + conf.learning.evaluation.seed_offset,
-        width=1280,
-        height=720,
-        samples=2,
+        width=960,
+        height=540,
+        samples=1,
     )
     console.print("Filming an episode of the trained policy", highlight=False)
     episode = EpisodeView(view)

@@ -81,7 +81,7 @@ class FixedCamera:
         changed = np.zeros(self.width * self.height, np.bool_)
         changed[shows] = True
         if self._renderer.baked.light.shadows:
-            maybe = self._within([np.stack([body.corners, self._behind(body)]) for body in bodies])
+            maybe = self._within(self._swept_from_sun(bodies))
             maybe = maybe[self._sunlit[maybe] & ~changed[maybe]]
             directions = np.broadcast_to(self._to_sun, (len(maybe), 3))
             changed[maybe[posed.rays.any_hit(self._points[maybe], directions)]] = True
@@ -118,13 +118,15 @@ class FixedCamera:
             draw.polygon([tuple(point) for point in outline.tolist()], fill=1, outline=1, width=3)
         return np.flatnonzero(np.asarray(mask))
 
-    def _behind(self, body: PosedMesh) -> Array:
-        """The corners (8, 3) of a body, moved away from the sun to where its shadow ends."""
-        down = np.full(1, _FAR_M, np.float32)
-        middle, from_sun = body.corners.mean(axis=0)[None].astype(np.float32), -self._to_sun[None]
-        self._renderer.baked.rays.shorten_ranges(middle, from_sun, down)
-        size = float(np.linalg.norm(np.ptp(body.corners, axis=0)))
-        return body.corners - (float(down[0]) + size + _BEYOND_M) * self._to_sun
+    def _swept_from_sun(self, bodies: Sequence[PosedMesh]) -> list[Array]:
+        """The corners (2, 8, 3) of bodies where they are, and away from the sun where their shadows end."""
+        corners = np.array([body.corners for body in bodies])
+        down = np.full(len(bodies), _FAR_M, np.float32)
+        from_sun = np.tile(-self._to_sun, (len(bodies), 1))
+        self._renderer.baked.rays.shorten_ranges(corners.mean(axis=1).astype(np.float32), from_sun, down)
+        sizes = np.linalg.norm(np.ptp(corners, axis=1), axis=1)
+        reach = (down + sizes + _BEYOND_M)[:, None, None]
+        return [*np.stack([corners, corners - reach * self._to_sun], axis=1)]
 
 
 def _cut_at(points: Array, ahead: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -45,7 +46,7 @@ class Viewpoint:
 
     def directions(self, width: int, height: int, samples: int = 1) -> Floats:
         """Unit vectors (height * samples, width * samples, 3), world frame, through the pixels' samples."""
-        ahead, right, up = self._axes()
+        ahead, right, up = self._axes
         columns, rows = width * samples, height * samples
         half = np.tan(self.fov_rad / 2)
         x = (np.arange(columns) + 0.5 - columns / 2) / (columns / 2) * half
@@ -60,12 +61,13 @@ class Viewpoint:
 
         Points behind the eye have depths below 0.
         """
-        ahead, right, up = self._axes()
+        ahead, right, up = self._axes
         offset = np.asarray(points) - self.eye
         depth = offset @ ahead
         scale = width / (2.0 * np.tan(self.fov_rad / 2) * np.where(depth > 0.0, depth, np.nan))
         return width / 2 + offset @ right * scale, height / 2 - offset @ up * scale, depth
 
+    @cached_property
     def _axes(self) -> tuple[Array, Array, Array]:
         """Unit vectors ahead, to the right and up in the picture, world frame."""
         ahead = np.subtract(self.target, self.eye)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 from test_gltf import tree_of, values_of
-from test_page import Page
+from test_live_page import Page
 
 from dune_rl import view
 from dune_rl.config.commands import ViewConf
