@@ -16,11 +16,15 @@ STRAIGHT = np.column_stack([np.linspace(-6.0, 6.0, 200), np.zeros(200), np.full(
 STILL = np.tile([1.0, 1.0, 0.2], (200, 1))
 
 
+def nobody(track: np.ndarray) -> np.ndarray:
+    return np.zeros((len(track), 0, 2))
+
+
 @pytest.mark.parametrize("track", [STRAIGHT, STILL, STRAIGHT[:1]])
 @pytest.mark.parametrize("props", [[], [box(0.0, -1.5, 8.0, 0.3, 2.0), box(0.0, 1.5, 8.0, 0.3, 2.0)]])
 def test_shots_follow_one_another_with_the_robot_in_sight(track, props):
     baked = bake_world(plain(*props), LightConf())
-    shots = plan_shots(track, 10.0, baked, 1.2, lambda number: NOWHERE)
+    shots = plan_shots(track, nobody(track), 10.0, baked, 1.2, lambda number: NOWHERE)
     assert shots[0].first == 0 and shots[-1].end == len(track)
     assert all(one.end == other.first for one, other in pairwise(shots))
     assert all(shot.view is not NOWHERE for shot in shots)
@@ -49,6 +53,19 @@ def test_a_robot_in_a_shaft_is_seen_from_behind():
     ]
     baked = bake_world(plain(*walls), LightConf())
     inside = np.tile([0.0, 0.0, 0.2], (25, 1))
-    shots = plan_shots(inside, 10.0, baked, 1.2, lambda number: NOWHERE)
+    shots = plan_shots(inside, nobody(inside), 10.0, baked, 1.2, lambda number: NOWHERE)
     assert [(shot.first, shot.end) for shot in shots] == [(0, 10), (10, 20), (20, 25)]
     assert all(shot.view is NOWHERE for shot in shots)
+
+
+def test_the_camera_stands_where_others_do_not_cover_the_robot():
+    baked = bake_world(plain(), LightConf())
+    place = plan_shots(STILL, nobody(STILL), 10.0, baked, 1.2, lambda number: NOWHERE)[0].view.eye
+    to_eye = np.subtract(place[:2], STILL[0, :2])
+    towards = STILL[0, :2] + 0.7 * to_eye / np.linalg.norm(to_eye)
+    # Somebody stands in the way, another is not there.
+    others = np.tile([[*towards], [np.nan, np.nan]], (len(STILL), 1, 1))
+    moved = plan_shots(STILL, others, 10.0, baked, 1.2, lambda number: NOWHERE)[0].view.eye
+    away = np.subtract(moved[:2], STILL[0, :2])
+    across = abs(away[0] * to_eye[1] - away[1] * to_eye[0]) / np.linalg.norm(away) / np.linalg.norm(to_eye)
+    assert away @ to_eye < 0.0 or across * 0.7 > 0.44

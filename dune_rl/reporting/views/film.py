@@ -135,8 +135,13 @@ class _Frames:
         width, height = self._layout.picture_size
         rows = min(height, _MOST_ROWS)
         self._traced_size = round(width * rows / height), rows
+        most = max(len(each.others) for each in instants)
+        others = np.full((len(instants), most, 2), np.nan)
+        for place, each in zip(others, instants, strict=True):
+            place[: len(each.others)] = each.others
         self._shots = plan_shots(
             self._track,
+            others,
             rate_hz,
             self._renderer.baked,
             width / height,

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dune_rl.geometry.arrays import Array
 from dune_rl.rendering.baked_scenery import BakedScenery
@@ -21,6 +22,8 @@ _RISE, _ABOVE_GROUND_M = 0.5, 1.2
 _SEEN_ABOVE_M = 0.15
 # What a metre of distance, and the sun in the eye, cost in seconds of length; and a place off the site.
 _PER_METRE, _AGAINST_SUN, _OFF_SITE = 0.45, 0.8, 4.0
+# What a second costs in which another agent covers the robot: nearer to the line of sight, and so tall.
+_COVERED, _ROOM_M, _TALL_M = 1.5, 0.45, 1.8
 
 
 @dataclass(frozen=True)
@@ -34,12 +37,13 @@ class Shot:
 
 def plan_shots(
     track: Array,
+    others: Array,
     rate_hz: float,
     baked: BakedScenery,
     aspect: float,
     otherwise: Callable[[int], Viewpoint],
 ) -> list[Shot]:
-    """Shots that follow one another of a robot at `track` (T, 3) [m] at `rate_hz`.
+    """Shots that follow one another of a robot at `track` (T, 3) [m] among `others` (T, K, 2), at `rate_hz`.
 
     Their pictures have an `aspect`, width by height.
 
@@ -49,15 +53,17 @@ def plan_shots(
     shots: list[Shot] = []
     while not shots or shots[-1].end < len(track):
         first = shots[-1].end if shots else 0
-        most = track[first : first + max(1, round(_LONGEST_S * rate_hz))]
-        frames, view = _best(most, rate_hz, baked, aspect)
+        most = slice(first, first + max(1, round(_LONGEST_S * rate_hz)))
+        frames, view = _best(track[most], others[most], rate_hz, baked, aspect)
         if view is None or frames < min(_SHORTEST_S * rate_hz, len(track) - first):
             frames, view = min(max(1, round(_SHORTEST_S * rate_hz)), len(track) - first), otherwise(first)
         shots.append(Shot(first, first + frames, view))
     return shots
 
 
-def _best(track: Array, rate_hz: float, baked: BakedScenery, aspect: float) -> tuple[int, Viewpoint | None]:
+def _best(
+    track: Array, others: Array, rate_hz: float, baked: BakedScenery, aspect: float
+) -> tuple[int, Viewpoint | None]:
     """The best shot from the first point of `track` (T, 3): its number of frames, and its viewpoint."""
     best = -np.inf
     found: tuple[int, Viewpoint | None] = (0, None)
@@ -74,10 +80,13 @@ def _best(track: Array, rate_hz: float, baked: BakedScenery, aspect: float) -> t
         xy = middle[:2] + away * ways
         ground = baked.terrain.height(np.clip(xy, [xmin, ymin], [xmax, ymax]))
         z = np.maximum(middle[2] + _RISE * away, ground + _ABOVE_GROUND_M)
-        frames = _frames_in_sight(np.column_stack([xy, z]), stretch, baked)
+        eyes = np.column_stack([xy, z])
+        frames = _frames_in_sight(eyes, stretch, baked)
+        covered = _is_covered(eyes, stretch, others[: len(stretch)])
+        covered &= np.arange(len(stretch)) < frames[:, None]
         outside = (xy < [xmin, ymin]).any(axis=1) | (xy > [xmax, ymax]).any(axis=1)
         score = frames / rate_hz - _PER_METRE * away - _OFF_SITE * outside
-        score += _AGAINST_SUN * ways @ baked.light.to_sun[:2]
+        score += _AGAINST_SUN * ways @ baked.light.to_sun[:2] - _COVERED * covered.sum(axis=1) / rate_hz
         chosen = int(score.argmax())
         if score[chosen] > best and frames[chosen]:
             best = score[chosen]
@@ -96,3 +105,16 @@ def _frames_in_sight(eyes: Array, track: Array, baked: BakedScenery) -> Array:
     baked.rays.shorten_ranges(eyes.astype(np.float32), directions, ranges)
     hidden = ranges.reshape(lengths.shape) < lengths - 0.05
     return np.where(hidden.any(axis=1), hidden.argmax(axis=1), len(track))
+
+
+def _is_covered(eyes: Array, track: Array, others: Array) -> NDArray[np.bool_]:
+    """Whether one of `others` (T, K, 2) is between `track` (T, 3) and each of `eyes` (E, 3), (E, T)."""
+    way = eyes[:, None, :2] - track[None, :, :2]
+    offset = others - track[:, None, :2]
+    length = np.einsum("etx,etx->et", way, way)
+    share = np.einsum("tkx,etx->etk", offset, way) / length[..., None]
+    aside = np.abs(offset[..., 0] * way[..., None, 1] - offset[..., 1] * way[..., None, 0])
+    rise = share * (eyes[:, None, 2] - track[:, 2])[..., None]
+    is_between = (share > 0.0) & (share < 1.0) & (aside < _ROOM_M * np.sqrt(length)[..., None])
+    covered: NDArray[np.bool_] = (is_between & (rise < _TALL_M)).any(axis=2)
+    return covered
