@@ -82,7 +82,8 @@ def _warn(job: str, name: str, ask: Callable[..., str], environment: dict[str, s
 def _start_now(job: str, ask: Callable[..., str]) -> None:
     """Start a requeued job without the two minutes that Slurm gives its node to recover."""
     wait_until(lambda: "JobState=PENDING" in ask("scontrol", "show", "job", job), f"{job} does not wait")
-    ask("scontrol", "update", f"JobId={job}", "StartTime=now")
+    # A node takes no credential of the second in which it ended the job before.
+    ask("scontrol", "update", f"JobId={job}", "StartTime=now+3")
 
 
 def frames_of(run: Path) -> int:
