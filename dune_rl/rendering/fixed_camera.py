@@ -9,7 +9,7 @@ from scipy.spatial import ConvexHull
 
 from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.rendering.moving_mesh import PosedBodies, PosedMesh
-from dune_rl.rendering.renderer import Renderer, Traced, Viewpoint, to_bytes
+from dune_rl.rendering.renderer import Renderer, Traced, Viewpoint, mark_both_sides, to_bytes
 
 Pixels = NDArray[np.int64]
 
@@ -52,7 +52,10 @@ class FixedCamera:
             first, end = int(pixels[0]) // self.width, int(pixels[-1]) // self.width + 1
             seen = np.zeros((end - first, self.width), np.bool_)
             seen.reshape(-1)[pixels - first * self.width] = traced.is_body
-            edge = np.flatnonzero(differs_from_neighbour(seen)) + first * self.width
+            edge = (
+                np.flatnonzero(mark_both_sides(np.diff(seen, axis=1), np.diff(seen, axis=0)))
+                + first * self.width
+            )
             smooth = self._renderer.antialiased(
                 self._eye, self._fine, edge, posed, self._pixel_rad, self._samples
             )
@@ -137,14 +140,3 @@ def _cut_at(points: Array, ahead: Array) -> Array:
     cut = points[0] + np.clip(share, 0.0, 1.0)[:, None] * (points[1] - points[0])
     passes = (ahead[0] > 0.0) != (ahead[1] > 0.0)
     return np.concatenate([points[0][ahead[0] > 0.0], points[1][ahead[1] > 0.0], cut[passes]])
-
-
-def differs_from_neighbour(values: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which of the values (H, W) of a picture differ from one beside, above or below them."""
-    edge = np.zeros(values.shape, np.bool_)
-    across, down = np.diff(values, axis=1) != 0, np.diff(values, axis=0) != 0
-    edge[:, 1:] |= across
-    edge[:, :-1] |= across
-    edge[1:] |= down
-    edge[:-1] |= down
-    return edge

@@ -316,11 +316,18 @@ def to_bytes(colours: Floats) -> NDArray[np.uint8]:
 def _is_uneven(picture: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """Pixels (H, W) of a picture (H, W, 3) that differ visibly from a neighbour."""
     signed = picture.astype(np.int16)
-    uneven = np.zeros(picture.shape[:2], np.bool_)
     across = (np.abs(np.diff(signed, axis=1)) > _CONTRAST).any(axis=2)
     down = (np.abs(np.diff(signed, axis=0)) > _CONTRAST).any(axis=2)
-    uneven[:, 1:] |= across
-    uneven[:, :-1] |= across
-    uneven[1:] |= down
-    uneven[:-1] |= down
-    return uneven
+    return mark_both_sides(across, down)
+
+
+def mark_both_sides(across: NDArray[np.bool_], down: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Pixels (H, W) on both sides of the borders that are marked between columns, `across` (H, W - 1), and
+    between rows, `down` (H - 1, W).
+    """
+    marked = np.zeros((len(across), down.shape[1]), np.bool_)
+    marked[:, 1:] |= across
+    marked[:, :-1] |= across
+    marked[1:] |= down
+    marked[:-1] |= down
+    return marked
