@@ -316,8 +316,8 @@ def to_bytes(colours: Floats) -> NDArray[np.uint8]:
 def _is_uneven(picture: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """Pixels (H, W) of a picture (H, W, 3) that differ visibly from a neighbour."""
     signed = picture.astype(np.int16)
-    across = (np.abs(np.diff(signed, axis=1)) > _CONTRAST).any(axis=2)
-    down = (np.abs(np.diff(signed, axis=0)) > _CONTRAST).any(axis=2)
+    across: NDArray[np.bool_] = np.abs(np.diff(signed, axis=1)).max(axis=2) > _CONTRAST
+    down: NDArray[np.bool_] = np.abs(np.diff(signed, axis=0)).max(axis=2) > _CONTRAST
     return mark_both_sides(across, down)
 
 
