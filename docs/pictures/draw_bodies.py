@@ -1,6 +1,6 @@
-"""Draws the bodies of actors, from four sides each and all together: `python docs/pictures/draw_bodies.py`.
+"""Draws bodies of actors from four sides: `python docs/pictures/draw_bodies.py FOLDER [NAME ...]`.
 
-It writes `actors.png`, or with `--sides FOLDER` a picture of each body from four sides.
+It writes `NAME.png` into the folder, for each body of the package if none is named.
 """
 
 import sys
@@ -18,20 +18,7 @@ from dune_rl.rendering.weather import WeatherConf
 from dune_rl.worlds.appearance import bake_in_weather
 from dune_rl.worlds.flat import FlatConf, build_flat
 
-FOLDER = Path(__file__).parent
 _DRONE_M = 2.3
-# Name, x and y [m], heading [degrees] and phase of the stride of those in the picture of all.
-SCENE = (
-    ("truck", 3.0, 6.8, 240.0, 0.0),
-    ("tractor", 1.0, -6.0, 125.0, 0.0),
-    ("car", -3.5, 4.4, 228.0, 0.0),
-    ("cow", -4.0, -2.2, 120.0, 0.1),
-    ("person", -7.0, 1.6, 215.0, 0.25),
-    ("child", -7.2, 0.5, 140.0, 0.75),
-    ("sheep", -7.0, -3.2, 125.0, 0.4),
-    ("dog", -8.2, -1.3, 110.0, 0.3),
-    ("drone", -5.0, 0.2, 205.0, 0.5),
-)
 
 
 def body_of(name: str) -> BodySettings:
@@ -51,16 +38,9 @@ def posed(name: str, x: float, y: float, heading_deg: float, phase: float) -> Po
     return PosedMesh(shape, np.array([x, y, height]), turn)
 
 
-def painter() -> Renderer:
+def meadow() -> Renderer:
     """The renderer of a level meadow in fair weather."""
     return Renderer(bake_in_weather(build_flat(FlatConf()), WeatherConf()))
-
-
-def draw_all() -> Image.Image:
-    """All bodies on a meadow."""
-    view = Viewpoint((-17.5, -0.4, 2.6), (-3.0, 0.3, 1.0), 0.88)
-    bodies = [posed(*one) for one in SCENE]
-    return Image.fromarray(painter().render(view, 1400, 620, bodies, samples=3))
 
 
 def draw_sides(renderer: Renderer, name: str, size: int = 420) -> Image.Image:
@@ -82,14 +62,11 @@ def draw_sides(renderer: Renderer, name: str, size: int = 420) -> Image.Image:
 
 def main() -> None:
     """Write the pictures."""
-    if sys.argv[1:2] == ["--sides"]:
-        renderer = painter()
-        folder = Path(sys.argv[2])
-        folder.mkdir(parents=True, exist_ok=True)
-        for name in sys.argv[3:] or BODIES.own:
-            draw_sides(renderer, name).save(folder / f"{name}.png")
-    else:
-        draw_all().save(FOLDER / "actors.png", optimize=True)
+    folder = Path(sys.argv[1])
+    folder.mkdir(parents=True, exist_ok=True)
+    renderer = meadow()
+    for name in sys.argv[2:] or BODIES.own:
+        draw_sides(renderer, name).save(folder / f"{name}.png")
 
 
 if __name__ == "__main__":
