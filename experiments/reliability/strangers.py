@@ -1,7 +1,7 @@
 """Reads very many damaged files of every format, and writes what each of them did.
 
 `python experiments/reliability/strangers.py FOLDER [mutants=10000] [first=0] [minutes=60] [kinds=obj,stl]`
-reads the formats in turns of 50 files, until each has so many or the time is over, and goes on with what
+reads the formats in turns of 500 files, until each has so many or the time is over, and goes on with what
 `FOLDER/strangers.csv` has. A row is a format; the numbers and faults of its defects are in
 `FOLDER/defects.csv`. Number N of a format is the same file at every call.
 """
@@ -23,7 +23,7 @@ from strangers.watch import ACCEPTED, DEFECT, REFUSED, Outcome, count_attacks, r
 from dune_rl.core.files import read_csv, write_csv
 from dune_rl.core.machine import short_commit
 
-_TURN = 50
+_TURN = 500
 COLUMNS = ("format", "attacks", "mutants", ACCEPTED, REFUSED, "defects", "most_s", "most_mib", "commit")
 
 
