@@ -5,6 +5,7 @@
 #SBATCH --cpus-per-task=4
 #SBATCH --mem=8G
 #SBATCH --time=08:00:00
+#SBATCH --signal=USR1@60
 #SBATCH --requeue
 #SBATCH --open-mode=append
 #SBATCH --output=slurm_%A_%a.txt
@@ -22,3 +23,9 @@ else
 fi
 srun --cpus-per-task="$SLURM_CPUS_PER_TASK" \
     python -m dune_rl.evaluate "${words[@]}" processes="$SLURM_CPUS_PER_TASK"
+code=$?
+# 138 after SIGUSR1: the time was nearly over. Episodes that had ended are saved.
+if [ "$code" -eq 138 ]; then
+    scontrol requeue "$SLURM_JOB_ID"
+fi
+exit "$code"

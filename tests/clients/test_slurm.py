@@ -14,6 +14,7 @@ from local_slurm import slurm
 from test_sweeps import SMALL
 from training import weights
 
+from dune_rl.core.files import read_csv
 from dune_rl.learning.checkpoint import read_checkpoint_file
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "slurm"
@@ -160,11 +161,22 @@ def test_the_script_of_a_training_requeues_itself(environment: dict[str, str], t
     assert (tmp_path / "log.txt").read_text().count("is a finished run") == 1
 
 
-def test_the_script_of_an_array_of_evaluations(environment: dict[str, str], tmp_path: Path) -> None:
-    ask = asker(environment)
-    words = ["sbatch", "--wait", "--array=0-1", "--cpus-per-task=1", "--mem=500M", f"--chdir={tmp_path}"]
+def test_the_script_of_an_array_of_evaluations_requeues_itself(
+    environment: dict[str, str], tmp_path: Path
+) -> None:
+    ask, folder = asker(environment), tmp_path / "evaluations"
+    words = ["sbatch", "--parsable", "--array=0-1", "--cpus-per-task=1", "--mem=500M", f"--chdir={tmp_path}"]
     words += [str(EXAMPLES / "evaluate.sh"), "policy=go_to_goal policy=random", "set=flat-v1", "evaluations"]
-    ask(*words, "episodes=2")
+    job = ask(*words, "episodes=40").strip()
+    wait_until(lambda: (folder / "1" / "provenance.json").exists(), "no evaluation")
+    _warn(f"{job}_1", "USR1", ask, environment)
+    _start_now(f"{job}_1", ask)
+    for number in range(2):
+        wait_until(
+            lambda one=f"{job}_{number}": "JobState=COMPLETED" in ask("scontrol", "show", "job", one),
+            "a job does not end",
+        )
+        assert len(read_csv(folder / str(number) / "episodes.csv")) == 40
     report = [sys.executable, "-m", "dune_rl.report", "evaluations", "out=report"]
     subprocess.run(report, cwd=tmp_path, env=environment, check=True)
     assert "go_to_goal" in (tmp_path / "report" / "index.html").read_text()
