@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from copy import copy
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,8 @@ from dune_rl.rendering.scenery import ColouredMesh, Scenery, Segment, join_meshe
 # Longest edge of props' triangles, so that shadows can cover parts of a prop.
 _LONGEST_EDGE_M = 0.6
 _OFF_SURFACE_M = 0.02
+# Corners of faces are one where they are nearer [m], and the components of the normals too.
+_SAME_PLACE_M, _SAME_NORMAL = 1e-3, 0.05
 # The visible share of the sky is smooth, so it is computed on a coarser grid.
 _SKY_GRID_M = 0.5
 _SKY_RAYS = 24
@@ -119,6 +122,18 @@ class BakedScenery:
 
     def _props_sky_share(self) -> Floats:
         return sky_share(self.rays, self._props_centres(), self._props_normals)
+
+    @cached_property
+    def props_corner_sky_share(self) -> Floats:
+        """The share of the sky (F, 3) at the corners of the props' faces: the mean of all faces in one plane
+        that meet there, so that shade is continuous over a wall.
+        """
+        corners = self.props.vertices[self.props.faces].reshape(-1, 3) / _SAME_PLACE_M
+        normals = np.repeat(self._props_normals, 3, axis=0) / _SAME_NORMAL
+        keys = np.rint(np.column_stack([corners, normals])).astype(np.int64)
+        _, place = np.unique(keys, axis=0, return_inverse=True)
+        sums = np.bincount(place, np.repeat(self.props_sky_share, 3))
+        return (sums / np.bincount(place))[place].astype(np.float32).reshape(-1, 3)
 
     def textured_colours(self, face: NDArray[Any], points: Floats, pixel_m: Floats) -> NDArray[np.uint8]:
         """SRGB bytes (N, 3) at `points` (N, 3) on textured faces `face` (N,) of props; `pixel_m` is (N,)."""

@@ -21,7 +21,7 @@ from dune_rl.rendering.participating_media import (
     grass_colours,
 )
 from dune_rl.rendering.scenery import Segment
-from dune_rl.rendering.shading import GRAIN_TEXELS, add_grain, sample_ground
+from dune_rl.rendering.shading import GRAIN_TEXELS, add_grain, interpolate_in_faces, sample_ground
 from dune_rl.rendering.weather import Sky
 
 _RAYS_AT_ONCE = 65_536
@@ -112,6 +112,7 @@ class Renderer:
         self._grain = (grain / np.std(grain)).astype(np.float32).ravel()
         xmin, xmax, ymin, ymax = baked.terrain.extent
         self._corner = np.array([xmin, ymin], np.float32)
+        self._corners = baked.props.vertices[baked.props.faces].astype(np.float32)
         self._per_m = np.array([1.0 / (xmax - xmin), 1.0 / (ymax - ymin)], np.float32)
 
     def render(
@@ -272,7 +273,7 @@ class Renderer:
                 seen = prop[pictured]
                 pixel_m = ranges[seen] * np.float32(pixel_rad)
                 albedo[seen] = baked.texture.albedo(own[pictured], points[seen], pixel_m, smooth=True)
-            share[prop] = baked.props_sky_share[own]
+            interpolate_in_faces(points, prop, own, self._corners, baked.props_corner_sky_share, share)
             gloss[prop] = np.where(baked.props.segments[own] == Segment.WATER, 1.0, 0.0)
         if bodies is not None:
             posed = np.flatnonzero(is_body)

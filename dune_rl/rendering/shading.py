@@ -1,4 +1,4 @@
-"""Loops over the pixels of large pictures: the ground that they show."""
+"""Loops over the pixels of large pictures: the ground and the props that they show."""
 
 from typing import Any
 
@@ -77,3 +77,25 @@ def add_grain(points: Any, ranges: Any, chosen: Any, grain: Any, share: float, a
         bright = np.float32(1.0) + grain[row * GRAIN_TEXELS + column] * fade
         for axis in range(3):
             albedo[k, axis] *= bright
+
+
+@compile_function
+def interpolate_in_faces(points: Any, chosen: Any, faces: Any, corners: Any, values: Any, shown: Any) -> None:
+    """Fill `shown` (N,) at the `chosen` ones (K,) of points (N, 3), which are on `faces` (K,).
+
+    The faces have `corners` (F, 3, 3) with `values` (F, 3).
+    """
+    for place in range(len(chosen)):
+        k, face = chosen[place], faces[place]
+        uu = uv = vv = up = vp = 0.0
+        for axis in range(3):
+            first = corners[face, 0, axis]
+            u, v = corners[face, 1, axis] - first, corners[face, 2, axis] - first
+            p = points[k, axis] - first
+            uu, uv, vv, up, vp = uu + u * u, uv + u * v, vv + v * v, up + u * p, vp + v * p
+        area = max(uu * vv - uv * uv, 1e-12)
+        second = min(max((vv * up - uv * vp) / area, 0.0), 1.0)
+        third = min(max((uu * vp - uv * up) / area, 0.0), 1.0 - second)
+        shown[k] = (
+            values[face, 0] * (1.0 - second - third) + values[face, 1] * second + values[face, 2] * third
+        )

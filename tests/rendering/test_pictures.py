@@ -12,6 +12,7 @@ from dune_rl.rendering.light import LightConf, srgb_to_linear
 from dune_rl.rendering.moving_mesh import PosedBodies, PosedMesh, RayMesh
 from dune_rl.rendering.renderer import Renderer, Viewpoint
 from dune_rl.rendering.scenery import ColouredMesh, Segment
+from dune_rl.rendering.shading import interpolate_in_faces
 from dune_rl.worlds.appearance import bake_world
 from dune_rl.worlds.props import slab
 from dune_rl.worlds.world import Prop
@@ -133,6 +134,27 @@ def test_more_samples_agree_in_the_mean_and_smooth_the_edges():
     fine = one.render(ASLANT, 3 * SIZE[0], 3 * SIZE[1]).astype(float)
     blocks = fine.reshape(SIZE[1], 3, SIZE[0], 3, 3).mean(axis=(1, 3))
     assert np.abs(blocks - smooth).mean() < 1.0
+
+
+def test_the_shade_of_a_wall_has_no_edges():
+    # Less of the sky is seen from lower parts of a wall that faces another.
+    baked = painter(box(0.0, 0.0, 0.2, 4.0, 3.0), box(1.0, 0.0, 0.2, 4.0, 2.0)).baked
+    corners = baked.props.vertices[baked.props.faces]
+    shares = baked.props_corner_sky_share
+    facing = np.isclose(corners[..., 0], 0.1).all(axis=1)
+    _, place = np.unique(corners[facing].reshape(-1, 3).round(4), axis=0, return_inverse=True)
+    order = np.argsort(place, kind="stable")
+    meeting = np.split(shares[facing].ravel()[order], np.flatnonzero(np.diff(place[order])) + 1)
+    assert max(len(each) for each in meeting) > 3
+    assert max(np.ptp(each) for each in meeting) < 1e-6
+    height = corners[facing][..., 2]
+    assert shares[facing][height < 0.5].mean() < shares[facing][height > 2.5].mean() - 0.1
+
+    face = int(np.flatnonzero(facing)[0])
+    points = np.array([*corners[face], corners[face].mean(axis=0)], np.float32)
+    shown = np.zeros(4, np.float32)
+    interpolate_in_faces(points, np.arange(4), np.full(4, face), corners.astype(np.float32), shares, shown)
+    np.testing.assert_allclose(shown, [*shares[face], shares[face].mean()], atol=1e-4)
 
 
 def test_water_reflects_the_sky():
