@@ -10,6 +10,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
+from local_ports import free_port
 
 _CONF = """
 ClusterName=test
@@ -51,7 +52,7 @@ def slurm(folder: Path) -> Iterator[dict[str, str]]:
 
 def _start(folder: Path, stack: ExitStack) -> dict[str, str]:
     conf = folder / "slurm.conf"
-    ports = {"port": _free_port(), "node_port": _free_port()}
+    ports = {"port": free_port(), "node_port": free_port()}
     cores = len(os.sched_getaffinity(0))
     conf.write_text(_CONF.format(folder=folder, host=socket.gethostname(), cores=cores, **ports))
     (folder / "state").mkdir()
@@ -100,9 +101,3 @@ def _is_ready(environment: Mapping[str, str]) -> bool:
         ["sinfo", "-h", "-o", "%T"], env=dict(environment), capture_output=True, text=True, check=False
     )
     return found.returncode == 0 and bool({"idle", "mixed", "allocated"} & {*found.stdout.split()})
-
-
-def _free_port() -> int:
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return int(found.getsockname()[1])

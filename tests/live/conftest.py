@@ -5,11 +5,12 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
+from local_ports import free_port
 
 from dune_rl.config.commands import ViewConf
 from dune_rl.config.compose import compose
 from dune_rl.core.errors import ConfigError
-from dune_rl.rendering.web.server import free_port, require_viser
+from dune_rl.rendering.web.server import require_viser
 
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 # Drawn by the processor, where a machine may have no display and no GPU.
@@ -29,7 +30,7 @@ def conf_of(_viser: None) -> Callable[..., ViewConf]:
     """Settings of a view with few sensors, on a port that is free."""
 
     def make(*words: str) -> ViewConf:
-        few = ("+world=flat", "sensors=[lidar,goal]", "actors=none", f"port={free_port(first=8400)}")
+        few = ("+world=flat", "sensors=[lidar,goal]", "actors=none", f"port={free_port()}")
         return compose(ViewConf, [*few, *words])
 
     return make
