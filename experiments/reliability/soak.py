@@ -39,8 +39,8 @@ from dune_rl.learning.policies import built_in_policy
 from dune_rl.learning.saved_policies import load_policy
 from dune_rl.physics.interface import OWN_ENGINES
 
-_SCENES, _STEPS = 16, 1_000
-_LIMITS = ("task.terminations.time_limit.max_steps=240",)
+_SCENES, _STEPS = 16, 4_000
+_LIMITS = ("task.terminations.time_limit.max_steps=960",)
 _POLICY = Path(__file__).parents[1] / "policies" / "all_worlds_1" / "policy.pt"
 _DRIVERS = ("random", "go_to_goal", "random", "oracle", "random", "mppi", "go_to_goal", "planner")
 # The published policy is of this robot.
