@@ -191,6 +191,13 @@ def test_a_changed_set_is_refused(tmp_path: Path) -> None:
     file.write_text(json.dumps(header))
     with pytest.raises(ConfigError, match="a changed set needs a name and a file of its own"):
         read_episode_set(str(file))
+    header["settings"]["task"] = 1.5
+    file.write_text(json.dumps(header))
+    with pytest.raises(
+        ConfigError, match=r"is no episode set \(settings\.task: Input should be a valid dict"
+    ):
+        read_episode_set(str(file))
+    header["settings"]["task"] = {}
     del header["seed"]
     file.write_text(json.dumps(header))
     with pytest.raises(ConfigError, match=r"is no episode set \(seed: Field required\)"):

@@ -148,6 +148,20 @@ def test_nothing_outside_the_package_is_read(tmp_path):
         cart(tmp_path, text)
 
 
+@pytest.mark.parametrize(
+    "mesh",
+    [
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3\nf 2 4 3\n",
+    ],
+)
+def test_a_flat_mesh_collides_with_nothing(mesh, tmp_path):
+    cart(tmp_path)
+    (tmp_path / "cart_description" / "meshes" / "flat.obj").write_text(mesh)
+    with pytest.raises(RobotError, match=r"the mesh .*flat\.obj' is flat or empty, so that nothing can"):
+        cart(tmp_path, CART.replace("shell.obj", "flat.obj"))
+
+
 MASS, WHEEL = '<mass value="8"/>', '<mass value="0.5"/>'
 ARM = CART[CART.index('<joint name="arm_joint"') : CART.index("</joint>", CART.index("arm_joint")) + 8]
 

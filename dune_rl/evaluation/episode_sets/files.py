@@ -76,7 +76,7 @@ class SetHeader(Settings):
     sites: int = Field(ge=1)
     goal_distance_m: tuple[float, float | None]
     seed: int = Field(ge=0)
-    settings: dict[str, Any]
+    settings: dict[str, dict[str, Any]]
     metrics: dict[str, dict[str, Any]] = Field(default_factory=dict)
     files: tuple[SetWorldFile, ...] = ()
     bounds: Rectangle | None = None
@@ -85,9 +85,8 @@ class SetHeader(Settings):
 
     @field_validator("settings")
     @classmethod
-    def _name_the_world(cls, settings: dict[str, Any]) -> dict[str, Any]:
-        world = settings.get("world")
-        if not isinstance(world, dict) or not isinstance(world.get("name"), str):
+    def _name_the_world(cls, settings: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+        if not isinstance(settings.get("world", {}).get("name"), str):
             raise ValueError("must have a world with a name")
         return settings
 

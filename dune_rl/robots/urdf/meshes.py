@@ -16,6 +16,8 @@ from dune_rl.rendering.mesh_files.files import FORMATS, load_mesh_parts
 PACKAGE_VARIABLE = "ROS_PACKAGE_PATH"
 _PACKAGE = "package://"
 _PACKAGE_FILE = "package.xml"
+# Flatter meshes have no inside [m], so that nothing can collide with them.
+_THINNEST_M = 1e-6
 
 
 class RobotWarning(DuneWarning):
@@ -77,10 +79,13 @@ class UrdfMeshes:
         return self._meshes[name]
 
     def hull_corners(self, name: str, scale: tuple[float, ...]) -> Array:
-        """Corners (P, 3) of the convex hull of a mesh, scaled; an exception of any kind if it is flat."""
+        """Corners (P, 3) of the hull of a scaled mesh; raises an exception of any kind if it is flat."""
         key = name, scale
         if key not in self._hulls:
             hull = trimesh.Trimesh(self.load(name)[0] * np.array(scale), process=False).convex_hull
+            # The library joggles what is flat, and then finds a hull.
+            if hull.volume < _THINNEST_M * hull.area:
+                raise ValueError("the mesh is flat")
             self._hulls[key] = np.asarray(hull.vertices)
         return self._hulls[key]
 

@@ -190,7 +190,7 @@ def _zip(data: bytes, rng: Rng) -> bytes:
 
 def _npy(data: bytes, rng: Rng) -> bytes:
     """Damage to the header, whose length is set right, or to the numbers."""
-    if not data.startswith(b"\x93NUMPY\x01") or rng.random() < 0.2:
+    if len(data) < 10 or not data.startswith(b"\x93NUMPY\x01") or rng.random() < 0.2:
         return _bytes(data, rng)
     (length,) = struct.unpack_from("<H", data, 8)
     header = _text(data[10 : 10 + length], rng) if rng.random() < 0.6 else data[10 : 10 + length]
