@@ -4,8 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw
-from scipy.spatial import ConvexHull
 
 from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.rendering.moving_mesh import PosedBodies, PosedMesh
@@ -13,10 +11,10 @@ from dune_rl.rendering.renderer import Renderer, Traced, Viewpoint, mark_both_si
 
 Pixels = NDArray[np.int64]
 
-_NEAR_M, _FAR_M = 0.1, 60.0
+_NEAR_M = 0.1
 _OFF_SURFACE_M = 0.01
-# Shadows are looked for so far behind the first surface under a body's middle.
-_BEYOND_M = 2.0
+# Of the grid in which pixels are sorted by what the sun sees.
+_CELL_M = 0.1
 
 
 class FixedCamera:
@@ -34,7 +32,7 @@ class FixedCamera:
         self._directions = view.directions(width, height).reshape(-1, 3)
         self._fine = view.directions(width, height, samples)
         self._world = renderer.trace(self._eye, self._directions, None)
-        self._points, self._sunlit = self._sunlit_points()
+        self._sunlit = _SunlitPixels(*self._sunlit_points(), self._to_sun)
 
     def render(self, bodies: Sequence[PosedMesh]) -> NDArray[np.uint8]:
         """SRGB bytes (height, width, 3) with `bodies` in the world: as `Renderer.render`, but that the edges
@@ -62,32 +60,28 @@ class FixedCamera:
             picture[edge] = to_bytes(smooth)
         return picture.reshape(self.height, self.width, 3)
 
-    def _sunlit_points(self) -> tuple[Floats, NDArray[np.bool_]]:
-        """Points (N, 3) of the world that the pixels show, and whether the sun reaches them (N,)."""
-        world = self._world
-        points = self._eye + self._directions * world.range[:, None]
-        sunlit = world.face >= 0
-        if not self._renderer.baked.light.shadows:
-            return points, np.zeros_like(sunlit)
-        lit = np.flatnonzero(sunlit)
-        points[lit] += np.float32(_OFF_SURFACE_M) * self._to_sun
-        directions = np.tile(self._to_sun, (len(lit), 1))
-        sunlit[lit] = ~self._renderer.baked.rays.any_hit(points[lit], directions)
-        return points, sunlit
+    def _sunlit_points(self) -> tuple[Pixels, Floats]:
+        """The pixels (K,) that show a part of the world in the sun, and those parts (K, 3)."""
+        light = self._renderer.baked.light
+        pixels = np.flatnonzero(self._world.face >= 0)
+        points = self._eye + self._directions[pixels] * self._world.range[pixels, None]
+        points += np.float32(_OFF_SURFACE_M) * self._to_sun
+        if not light.shadows:
+            return pixels[:0], points[:0]
+        lit = ~self._renderer.baked.rays.any_hit(points, np.tile(self._to_sun, (len(points), 1)))
+        return pixels[lit], points[lit]
 
     def _trace_changed(self, bodies: Sequence[PosedMesh], posed: PosedBodies) -> tuple[Pixels, Traced]:
         """Sorted numbers (K,) of the pixels that show a body or its shadow, and what their rays meet."""
-        near = self._within([body.corners for body in bodies])
+        corners = np.array([body.corners for body in bodies])
+        near = self._near(corners)
         hit = posed.rays.hits(self._eye[None], self._directions[near], self._world.range[near])
         met = np.flatnonzero(hit.face >= 0)
         shows = near[met]
         changed = np.zeros(self.width * self.height, np.bool_)
         changed[shows] = True
-        if self._renderer.baked.light.shadows:
-            maybe = self._within(self._swept_from_sun(bodies))
-            maybe = maybe[self._sunlit[maybe] & ~changed[maybe]]
-            directions = np.broadcast_to(self._to_sun, (len(maybe), 3))
-            changed[maybe[posed.rays.any_hit(self._points[maybe], directions)]] = True
+        maybe, points = self._sunlit.behind(corners)
+        changed[maybe[posed.rays.any_hit(points, np.tile(self._to_sun, (len(points), 1)))]] = True
         pixels = np.flatnonzero(changed)
         traced = self._world.select(pixels)
         at = np.searchsorted(pixels, shows)
@@ -95,48 +89,51 @@ class FixedCamera:
         traced.is_body[at] = True
         return pixels, traced
 
-    def _within(self, solids: Sequence[Array]) -> Pixels:
-        """Numbers of the pixels that show the convex hulls of some points, or are beside them.
-
-        The points are (8, 3), or (2, 8, 3) with ways from one to the other, of which the part behind the eye
-        is left out.
-        """
-        mask = Image.new("L", (self.width, self.height))
-        draw = ImageDraw.Draw(mask)
-        for points in solids:
-            column, row, depth = self.view.project(points.reshape(-1, 3), self.width, self.height)
+    def _near(self, corners: Array) -> Pixels:
+        """Numbers of the pixels in the rectangles about boxes of `corners` (B, 8, 3), with a margin."""
+        mask = np.zeros((self.height, self.width), np.bool_)
+        projected = self.view.project(corners.reshape(-1, 3), self.width, self.height)
+        columns, rows, depths = (each.reshape(-1, 8) for each in projected)
+        for column, row, depth in zip(columns, rows, depths, strict=True):
             if (depth <= _NEAR_M).all():
                 continue
             if (depth <= _NEAR_M).any():
-                if points.ndim == 2:
-                    # It is all about the eye.
-                    draw.rectangle((0, 0, self.width, self.height), fill=1)
-                    continue
-                cut = _cut_at(points, depth.reshape(2, -1) - _NEAR_M)
-                column, row, _ = self.view.project(cut, self.width, self.height)
-            outline = np.column_stack([column, row])
-            outline = outline[ConvexHull(outline, qhull_options="QJ").vertices]
-            # Far outside the picture, numbers are too large to draw with.
-            outline = np.clip(outline, -20_000, 20_000)
-            draw.polygon([tuple(point) for point in outline.tolist()], fill=1, outline=1, width=3)
-        return np.flatnonzero(np.asarray(mask))
-
-    def _swept_from_sun(self, bodies: Sequence[PosedMesh]) -> list[Array]:
-        """The corners (2, 8, 3) of bodies where they are, and away from the sun where their shadows end."""
-        corners = np.array([body.corners for body in bodies])
-        down = np.full(len(bodies), _FAR_M, np.float32)
-        from_sun = np.tile(-self._to_sun, (len(bodies), 1))
-        self._renderer.baked.rays.shorten_ranges(corners.mean(axis=1).astype(np.float32), from_sun, down)
-        sizes = np.linalg.norm(np.ptp(corners, axis=1), axis=1)
-        reach = (down + sizes + _BEYOND_M)[:, None, None]
-        return [*np.stack([corners, corners - reach * self._to_sun], axis=1)]
+                # It is all about the eye.
+                mask[:] = True
+                break
+            left, top = (max(0, int(each.min()) - 2) for each in (column, row))
+            mask[top : max(0, int(row.max()) + 3), left : max(0, int(column.max()) + 3)] = True
+        return np.flatnonzero(mask)
 
 
-def _cut_at(points: Array, ahead: Array) -> Array:
-    """Ends of the ways from `points` (2, 8, 3) that are in front of the eye, by distances `ahead` (2, 8) [m];
-    where a way passes the eye, it ends beside it.
-    """
-    share = ahead[0] / np.where(ahead[0] == ahead[1], 1.0, ahead[0] - ahead[1])
-    cut = points[0] + np.clip(share, 0.0, 1.0)[:, None] * (points[1] - points[0])
-    passes = (ahead[0] > 0.0) != (ahead[1] > 0.0)
-    return np.concatenate([points[0][ahead[0] > 0.0], points[1][ahead[1] > 0.0], cut[passes]])
+class _SunlitPixels:
+    """Pixels (K,) that show `points` (K, 3) in the sun, by the cell of a grid in which the sun sees them."""
+
+    def __init__(self, pixels: Pixels, points: Floats, to_sun: Floats) -> None:
+        across = np.cross(to_sun, [0.0, 1.0, 0.0] if abs(to_sun[1]) < 0.9 else [1.0, 0.0, 0.0])
+        across /= np.linalg.norm(across)
+        self._axes = np.column_stack([across, np.cross(to_sun, across)])
+        cells = self._cells(points)
+        self._first = cells.min(axis=0) if len(cells) else np.zeros(2, np.int64)
+        self._columns = int((cells[:, 1] - self._first[1]).max(initial=0)) + 1
+        keys = (cells - self._first) @ [self._columns, 1]
+        order = np.argsort(keys, kind="stable")
+        self._keys, self._pixels, self._points = keys[order], pixels[order], points[order]
+
+    def behind(self, corners: Array) -> tuple[Pixels, Floats]:
+        """Pixels (N,) and their points (N, 3) that boxes of `corners` (B, 8, 3) may hide from the sun."""
+        cells = self._cells(corners.reshape(-1, 3)).reshape(-1, 8, 2) - self._first
+        low, high = cells.min(axis=1), cells.max(axis=1)
+        counts = high[:, 0] - low[:, 0] + 1
+        box = np.repeat(np.arange(len(counts)), counts)
+        row = low[box, 0] + np.arange(len(box)) - np.repeat(np.cumsum(counts) - counts, counts)
+        begin = row * self._columns + np.clip(low[box, 1], 0, self._columns)
+        end = row * self._columns + np.clip(high[box, 1] + 1, 0, self._columns)
+        chosen = np.zeros(len(self._keys), np.bool_)
+        for first, last in zip(*np.searchsorted(self._keys, [begin, end]).tolist(), strict=True):
+            chosen[first:last] = True
+        return self._pixels[chosen], self._points[chosen]
+
+    def _cells(self, points: NDArray[np.floating]) -> Pixels:
+        cells: Pixels = np.floor(points @ self._axes / _CELL_M).astype(np.int64)
+        return cells
