@@ -18,7 +18,7 @@ FILM_FILE = "film.mp4"
 
 def film_run(console: Console, conf: Conf, result: "TrainingResult") -> None:
     """Write the film of the best policy in the first episode of the run's evaluations."""
-    from dune_rl.learning.run.tensorboard import log_film
+    from dune_rl.learning.run.tensorboard import log_film, reduce_picture
     from dune_rl.reporting.views.episode import EpisodeView
     from dune_rl.reporting.views.film import write_video
 
@@ -33,9 +33,15 @@ def film_run(console: Console, conf: Conf, result: "TrainingResult") -> None:
     )
     console.print("Filming an episode of the trained policy", highlight=False)
     episode = EpisodeView(view)
+    # A minute of whole pictures would be a gigabyte.
     pictures: list[NDArray[np.uint8]] = []
     try:
-        write_video(episode, result.run_dir / FILM_FILE, console, pictures.append)
+        write_video(
+            episode,
+            result.run_dir / FILM_FILE,
+            console,
+            lambda picture: pictures.append(reduce_picture(picture)),
+        )
     finally:
         episode.close()
     log_film(result.run_dir, pictures, view.frames_per_s, result.frames)

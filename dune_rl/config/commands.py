@@ -18,7 +18,7 @@ def _one_or_several(names: object) -> object:
 
 BenchmarkPart = Literal[
     "environment", "cameras", "sensors", "terrain", "new_world", "groups", "actors", "processes", "engines",
-    "world_memory", "learning", "sizes",
+    "world_memory", "learning", "sizes", "films",
 ]  # fmt: skip
 
 
@@ -28,7 +28,7 @@ class BenchmarkConf(EnvConf):
     parts: tuple[BenchmarkPart, ...] = tuple(
         part
         for part in get_args(BenchmarkPart)
-        if part not in ("world_memory", "engines", "learning", "sizes")
+        if part not in ("world_memory", "engines", "learning", "sizes", "films")
     )
     scenes: int = Field(16, ge=1, le=8_192)
     rounds: int = Field(9, ge=1)
@@ -36,6 +36,7 @@ class BenchmarkConf(EnvConf):
     worlds: int = Field(500, ge=1)
     processes: tuple[Annotated[int, Field(ge=1)], ...] = (1, 2)
     algorithms: tuple[str, ...] = ("sac",)
+    film_s: float = Field(60.0, gt=0.0)
     seed: int = Field(0, ge=0)
 
 

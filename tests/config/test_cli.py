@@ -123,6 +123,17 @@ def test_sizes_and_starts_are_measured(call: Call, capsys: pytest.CaptureFixture
 
 
 @pytest.mark.slow
+def test_films_are_measured(call: Call, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(benchmark.main, "world=flat", "parts=[films]", "film_s=0.4") == 0
+    (line,) = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert line["film_s"] == 0.4 and "groups" not in line
+    assert (
+        line["film_cpu_s"].keys() == {"640x360", "960x540", "1920x1080"}
+        and min(line["film_cpu_s"].values()) > 0
+    )
+
+
+@pytest.mark.slow
 def test_two_policies_are_compared_on_the_same_episodes(
     call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

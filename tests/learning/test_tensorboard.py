@@ -24,7 +24,7 @@ from dune_rl.config.compose import compose
 from dune_rl.config.schema import Conf
 from dune_rl.learning.evaluation import evaluate
 from dune_rl.learning.policies import built_in_policy
-from dune_rl.learning.run.tensorboard import EventFile, choose_hyperparameters, log_film
+from dune_rl.learning.run.tensorboard import EventFile, choose_hyperparameters, log_film, reduce_picture
 from dune_rl.learning.trainer import Trainer
 from dune_rl.reporting.views.evaluation_pictures import EvaluationTracks
 
@@ -120,7 +120,7 @@ def test_what_tells_runs_apart() -> None:
 @pytest.mark.slow
 def test_films_move(tmp_path: Path) -> None:
     noise = np.random.default_rng(1)
-    pictures = [noise.integers(0, 256, (180, 320, 3), np.uint8) for _ in range(50)]
+    pictures = [reduce_picture(noise.integers(0, 256, (180, 320, 3), np.uint8)) for _ in range(50)]
     log_film(tmp_path, pictures, 20.0, 7)
     (event,) = read(tmp_path).Images("film")
     film = Image.open(io.BytesIO(event.encoded_image_string))

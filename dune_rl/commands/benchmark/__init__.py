@@ -13,7 +13,7 @@ from dune_rl.config.commands import BenchmarkConf
 from dune_rl.config.compose import compose
 
 # Parts that replace the agent groups of the settings, or have none.
-_WITHOUT_GROUPS = ("terrain", "groups", "actors", "processes", "learning")
+_WITHOUT_GROUPS = ("terrain", "groups", "actors", "processes", "learning", "films")
 
 
 def run(words: Sequence[str]) -> None:
@@ -21,6 +21,7 @@ def run(words: Sequence[str]) -> None:
     conf = compose(BenchmarkConf, parsed.overrides, command_line.config_folders(parsed))
     # A wrong setting is refused before all that is measured is loaded, which takes seconds.
     from dune_rl.commands.benchmark import parts
+    from dune_rl.commands.benchmark.films import measure_films
     from dune_rl.commands.benchmark.learning import measure_learning
     from dune_rl.commands.benchmark.sensors import measure_sensors
     from dune_rl.commands.benchmark.sizes import measure_sizes
@@ -36,6 +37,7 @@ def run(words: Sequence[str]) -> None:
         "actors": parts.measure_actors,
         "engines": parts.measure_engines,
         "sizes": measure_sizes,
+        "films": measure_films,
     }
     for part, measure in measures.items():
         if part in conf.parts:

@@ -92,15 +92,19 @@ _RATE_HZ = 6.0
 _MOST_PICTURES = 90
 
 
-def log_film(folder: Path, pictures: Sequence[Picture], rate_hz: float, frames: int) -> None:
-    """Show `pictures`, RGB (height, width, 3) at `rate_hz`, beside the other events of the run in `folder`.
+def reduce_picture(picture: Picture) -> Picture:
+    """A picture, RGB (height, width, 3), as small as `log_film` shows it."""
+    return np.asarray(ImageOps.contain(Image.fromarray(picture), (_WIDTH, _WIDTH * 10)))
 
-    Small, with some pictures a second, and of a long film only some of these: TensorBoard loads it whole.
+
+def log_film(folder: Path, pictures: Sequence[Picture], rate_hz: float, frames: int) -> None:
+    """Show reduced `pictures`, RGB (height, width, 3) at `rate_hz`, beside the other events of a run.
+
+    There are some pictures a second, and of a long film only some of these: TensorBoard loads it whole.
     """
     every = max(1, round(rate_hz / _RATE_HZ), -(-len(pictures) // _MOST_PICTURES))
-    small = [ImageOps.contain(Image.fromarray(each), (_WIDTH, _WIDTH * 10)) for each in pictures[::every]]
     with EventFile(folder) as events:
-        events.film("film", [np.asarray(each) for each in small], rate_hz / every, frames)
+        events.film("film", pictures[::every], rate_hz / every, frames)
 
 
 # These say how a run is run, and not what is learned.
