@@ -197,6 +197,26 @@ def without_orientation(topic: str, message: Any) -> Iterable[tuple[str, Any]]:
     yield topic, message
 
 
+def of_zeros(topic: str, message: Any) -> Iterable[tuple[str, Any]]:
+    if topic == "/imu":
+        rotation = message.orientation
+        rotation.x = rotation.y = rotation.z = rotation.w = 0.0
+    yield topic, message
+
+
+def without_turn(topic: str, message: Any) -> Iterable[tuple[str, Any]]:
+    if topic == "/tf_static":
+        for each in message.transforms:
+            each.transform.rotation.w = 0.0
+    yield topic, message
+
+
+def without_angles(topic: str, message: Any) -> Iterable[tuple[str, Any]]:
+    if topic == "/scan":
+        message.angle_increment = np.nan
+    yield topic, message
+
+
 def of_another_map(topic: str, message: Any) -> Iterable[tuple[str, Any]]:
     if topic == "/goal_pose":
         assert message.header.frame_id == MAP
@@ -231,6 +251,9 @@ def as_text(topic: str, message: Any) -> Iterable[tuple[str, Any]]:
         (halved, {}, ["/scan at 0.000 s does not fit lidar: 16 of the 32 segments", "360 degrees"]),
         (of_another_frame, {}, ["its frame 'laser' has no transform to 'base_link' in /tf_static"]),
         (without_orientation, {}, ["/imu at 0.000 s does not fit imu: it has no orientation"]),
+        (of_zeros, {}, ["/imu at 0.000 s does not fit imu: its orientation (0, 0, 0, 0) is no unit quaternion"]),
+        (without_turn, {}, ["its frame 'lidar_link' has no transform to 'base_link' in /tf_static"]),
+        (without_angles, {}, ["/scan at 0.000 s does not fit lidar: the angles of its beams are not finite"]),
         (of_another_map, {"goal": "/goal_pose"}, ["its frame 'utm' has no transform to 'base_link'"]),
     ],
 )
