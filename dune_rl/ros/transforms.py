@@ -61,7 +61,7 @@ def relative_pose(outer: tuple[Array, Array], inner: tuple[Array, Array]) -> tup
 
 
 def is_rotation(quaternion: Any) -> bool:
-    """Whether a Quaternion message has the length 1, as nearly as tf2 asks; drivers without one write zeros."""
+    """Whether a Quaternion message has the length 1, as nearly as tf2 asks; zeros stand for none."""
     length = math.hypot(quaternion.x, quaternion.y, quaternion.z, quaternion.w)
     return abs(length - 1.0) < _MOST_STRETCH
 
@@ -80,7 +80,7 @@ class TransformTree:
         self._stamps: dict[str, int] = {}
 
     def add(self, message: Any, *, is_static: bool = False) -> None:
-        """Take the transforms of a TFMessage, of /tf_static if it `is_static`; as by tf2, no malformed ones."""
+        """Take the transforms of a TFMessage, of /tf_static if it `is_static`; no malformed ones."""
         for each in message.transforms:
             moved, turned = each.transform.translation, each.transform.rotation
             position = np.array([moved.x, moved.y, moved.z])
