@@ -80,8 +80,8 @@ class ScanCodec(SensorCodec):
                 f"{conf.fov_deg:g} degrees, have no beam of its {len(ranges)} over "
                 f"{np.rad2deg(abs(message.angle_increment) * len(ranges)):.0f} degrees"
             )
-        # REP-117: -inf is nearer than can be measured, inf farther, NaN no measurement. Ranges below range_min
-        # are none either: many drivers write 0 where nothing returns.
+        # REP-117: -inf is nearer than can be measured, inf farther, NaN no measurement. Neither are ranges
+        # below range_min: many drivers write 0 where nothing returns.
         is_known = (ranges >= np.float32(message.range_min)) | np.isneginf(ranges)
         blind = conf.n_segments - len(np.unique(segment[inside & is_known]))
         if blind:

@@ -309,6 +309,7 @@ def test_what_is_no_bag_is_named(
         ([f"bag={bag}", f"checkpoint={POLICY}", "perod_s=1"], "period_s"),
         ([f"bag={bag}", f"checkpoint={POLICY}", "period_s=0"], "period_s"),
         ([f"bag={bag}", f"checkpoint={POLICY}", "policy=a.onnx"], "give one policy"),
+        ([f"bag={bag}", "checkpoint=p.onnx"], "checkpoint=p.onnx is an ONNX file: write policy=p.onnx"),
         ([f"bag={bag}", f"policy={POLICY}"], "must end in .onnx; a run's is checkpoint="),
         ([f"bag={bag}", f"checkpoint={POLICY}", "domain=3"], "domain is of live topics: leave bag out"),
         ([f"checkpoint={POLICY}", "out=a.csv"], "out is of bags: give bag=FOLDER"),
