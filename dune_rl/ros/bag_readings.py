@@ -15,6 +15,7 @@ from dune_rl.sensors.sensor import Reading
 _NS = 1_000_000_000
 # A message that is logged so much later than a decision still counts: times of bags are rounded.
 _TOLERANCE_NS = 1_000
+_METADATA = "metadata.yaml"
 
 
 class BagReadings:
@@ -136,6 +137,11 @@ def _opened(path: Path) -> Iterator[Any]:
     """A reader of a bag; raises ConfigError where there is none."""
     from rosbags.rosbag2 import Reader
 
+    if not (path / _METADATA).exists():
+        # An evaluation writes FOLDER/POLICY/episode_NUMBER.
+        inside = sorted([*path.glob(f"*/{_METADATA}"), *path.glob(f"*/*/{_METADATA}")])
+        if inside:
+            raise ConfigError(f"bag={path} is a folder of bags; give one, such as bag={inside[0].parent}")
     try:
         reader = Reader(path)
         reader.open()

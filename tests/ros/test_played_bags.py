@@ -299,6 +299,7 @@ def test_what_is_no_bag_is_named(
         ("broken", "bag=broken is no bag that can be read"),
         ("cut.mcap", "bag=cut.mcap is no bag that can be read"),
         ("damaged.mcap", "bag=damaged.mcap is damaged"),
+        (bag.parent, f"is a folder of bags; give one, such as bag={bag.parent / 'episode_0'}"),
     ):
         assert call(drive.main, f"bag={path}", f"checkpoint={POLICY}") == 2
         error = capsys.readouterr().err
