@@ -1,4 +1,4 @@
-"""`python -m dune_rl.drive`: play a bag into a policy."""
+"""`python -m dune_rl.drive`: a policy drives a robot over live topics, or a bag is played into it."""
 
 from dune_rl.commands.command_line import command
 

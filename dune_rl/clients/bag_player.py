@@ -52,7 +52,7 @@ def actions_from_bag(
     of its body (base_link).
 
     Raises ConfigError, which says which topic is missing, and CheckpointError for a file without a policy;
-    warns of sensors that are mounted elsewhere than the policy's were.
+    warns of topics that fall silent, and of sensors that are mounted elsewhere than the policy's were.
     """
     require_rosbags("reading bags")
     policy = load_driven_policy(checkpoint, onnx, robot)
@@ -67,7 +67,7 @@ def actions_from_bag(
     ]
     if not found:
         raise ConfigError(f"{bag} ends before there is a message of each topic that the policy reads")
-    for line in readings.misplaced():
+    for line in (*readings.silent(), *readings.misplaced()):
         warnings.warn(line, DuneWarning, stacklevel=2)
     times, actions = zip(*found, strict=True)
     return BagActions(np.array(times, np.int64), np.stack(actions))

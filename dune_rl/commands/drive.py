@@ -41,6 +41,8 @@ class DriveConf(DrivingConf, NetworkConf):
             raise ValueError(f"give one policy, checkpoint=PATH or policy=FILE.onnx: {_HINT}")
         if self.policy is not None and Path(self.policy).suffix != ".onnx":
             raise ValueError(f"policy={self.policy} must end in .onnx; a run's is checkpoint={self.policy}")
+        if self.checkpoint is not None and Path(self.checkpoint).suffix == ".onnx":
+            raise ValueError(f"checkpoint={self.checkpoint} is an ONNX file: write policy={self.checkpoint}")
         live = {*DrivingConf.model_fields, *NetworkConf.model_fields}
         for name in self.model_fields_set & (live if self.bag is not None else {*_OF_BAGS}):
             other = "live topics: leave bag out" if self.bag is not None else "bags: give bag=FOLDER"

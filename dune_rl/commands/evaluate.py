@@ -154,19 +154,31 @@ def _note_sites_of_training(conf: EvaluateConf, provenance: Mapping[str, Any]) -
 
 
 def _note_other_rates(plan: "EvaluationPlan") -> None:
-    """Say which checkpoints decide more or less often here than they learned to."""
+    """Say which policies decide more or less often here than they learned to."""
     now = plan.conf.physics.action_repeat
     for source in plan.sources:
-        if source.kind != "checkpoint" or source.file is None:
-            continue
-        file, content = read_policy_file(source.file)
-        with interpreting(file):
-            then = (content["config"].get("physics") or {}).get("action_repeat", 1)
-        if then != now:
+        then = None if source.file is None else _trained_repeat(source.file)
+        if then not in (None, now):
             command_line.print_error(
                 f"note: {source.name} was trained with physics.action_repeat={then}, and decides here with "
                 f"{now}"
             )
+
+
+def _trained_repeat(path: Path) -> int | None:
+    """How many control steps an action of a policy's file was held in training; None where that is unknown."""
+    if path.suffix == ".onnx":
+        from dune_rl.learning.onnx_policy import OnnxPolicy
+
+        described = OnnxPolicy(path).description
+        try:
+            return round(described["decision_s"] / described["control_step_s"])
+        except (KeyError, TypeError, ArithmeticError):
+            return None
+    file, content = read_policy_file(path)
+    with interpreting(file):
+        repeat: int = (content["config"].get("physics") or {}).get("action_repeat", 1)
+    return repeat
 
 
 def _cross_play(conf: EvaluateConf, config_dirs: Sequence[str]) -> None:

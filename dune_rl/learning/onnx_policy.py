@@ -25,6 +25,8 @@ class OnnxPolicy:
             import onnxruntime
         except ImportError:
             raise ConfigError(f"policy={path} needs onnxruntime: pip install 'dune_rl[onnx]'") from None
+        if not path.is_file():
+            raise ConfigError(f"policy={path}: there is no such file")
         options = onnxruntime.SessionOptions()
         # As everywhere in evaluations: equal results on any number of cores.
         options.intra_op_num_threads = options.inter_op_num_threads = 1

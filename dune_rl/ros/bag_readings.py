@@ -8,12 +8,14 @@ from typing import Any
 from dune_rl.core.errors import ConfigError
 from dune_rl.ros.bag import read_told
 from dune_rl.ros.library import message_types, require_rosbags
-from dune_rl.ros.readings import TF, TF_STATIC, ReadingSource, RobotReadings
+from dune_rl.ros.readings import POSE, TF, TF_STATIC, ReadingSource, RobotReadings
+from dune_rl.ros.settings import MOST_AGE_S
 from dune_rl.sensors.sensor import Reading
 
 _NS = 1_000_000_000
 # A message that is logged so much later than a decision still counts: times of bags are rounded.
 _TOLERANCE_NS = 1_000
+_METADATA = "metadata.yaml"
 
 
 class BagReadings:
@@ -42,6 +44,9 @@ class BagReadings:
         self._readings = RobotReadings(
             parts, types, topics, origin=str(path), remedy="record one", robot=robot, base=base
         )
+        # When the last message of each topic came, and its longest silence at a decision: length, start [ns].
+        self._arrived_ns: dict[str, int] = {}
+        self._silences: dict[str, tuple[int, int]] = {}
 
     def decisions(self, period_s: float) -> Iterator[tuple[int, dict[str, Reading]]]:
         """Times [ns] every `period_s`, and the readings of each part that have arrived by then.
@@ -57,9 +62,31 @@ class BagReadings:
             readings.settle(time_ns)
             until_ns = min(last_ns, time_ns - _TOLERANCE_NS)
             while (due_ns := first_ns + round(number * period_s * _NS)) < until_ns:
+                self._note_silences(due_ns)
                 yield due_ns, readings.observation(due_ns)
                 number += 1
             readings.take(topic, message, time_ns)
+            self._arrived_ns[topic] = time_ns
+
+    def _note_silences(self, now_ns: int) -> None:
+        for topic, arrived_ns in self._arrived_ns.items():
+            silence = now_ns - arrived_ns, arrived_ns
+            self._silences[topic] = max(silence, self._silences.get(topic, silence))
+
+    def silent(self) -> list[str]:
+        """A line for each topic that was silent for so long that a robot on live topics would have stood."""
+        continuous = [
+            topic for topic in self._readings.topics.values() if self._readings.type_of(topic) != POSE
+        ]
+        if self._readings.transforms:
+            continuous.append(TF)
+        silences = {topic: self._silences[topic] for topic in continuous if topic in self._silences}
+        return [
+            f"{topic}: no message for {silent_ns / _NS:.2f} s from {since_ns / _NS:.2f} s on; the actions are of"
+            " its last one, and live the robot would stand"
+            for topic, (silent_ns, since_ns) in silences.items()
+            if silent_ns > MOST_AGE_S * _NS
+        ]
 
     def misplaced(self) -> list[str]:
         """See `RobotReadings.misplaced`; after the last decision."""
@@ -110,6 +137,11 @@ def _opened(path: Path) -> Iterator[Any]:
     """A reader of a bag; raises ConfigError where there is none."""
     from rosbags.rosbag2 import Reader
 
+    if not (path / _METADATA).exists():
+        # An evaluation writes FOLDER/POLICY/episode_NUMBER.
+        inside = sorted([*path.glob(f"*/{_METADATA}"), *path.glob(f"*/*/{_METADATA}")])
+        if inside:
+            raise ConfigError(f"bag={path} is a folder of bags; give one, such as bag={inside[0].parent}")
     try:
         reader = Reader(path)
         reader.open()

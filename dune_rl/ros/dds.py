@@ -1,6 +1,7 @@
 """Topics of ROS 2 over DDS, by Eclipse Cyclone DDS and without ROS."""
 
-from collections.abc import Iterator
+import socket
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 from weakref import WeakValueDictionary
@@ -83,6 +84,7 @@ class Participant:
         from cyclonedds.domain import DomainParticipant
 
         self.types: MessageTypes = message_types()
+        _check_peers(conf.peers)
         try:
             self._domain = _open_domain(conf)
             self._participant = DomainParticipant(conf.domain_id)
@@ -224,6 +226,20 @@ class Participant:
         if ignores_own:
             policies.append(Policy.IgnoreLocal.Participant)
         return Qos(*policies)
+
+
+def _check_peers(peers: Iterable[str]) -> None:
+    """Raise ConfigError for a peer without an IPv4 address, at which Cyclone DDS aborts the process."""
+    for peer in peers:
+        host, colon, port = peer.partition(":")
+        try:
+            if colon and not (port.isdecimal() and 0 < int(port) < 1 << 16):
+                raise ConfigError(f"peers: {peer} is no HOST or HOST:PORT of IPv4")
+            socket.getaddrinfo(host, None, socket.AF_INET)
+        except OSError:
+            raise ConfigError(
+                f"peers: no machine {host} is known; give an IPv4 address, such as 192.168.1.20"
+            ) from None
 
 
 def _open_domain(conf: NetworkConf) -> _OpenDomain:

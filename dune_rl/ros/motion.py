@@ -8,7 +8,7 @@ import numpy as np
 from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.frames import roll_pitch_yaw, rotation_from_angles, rotation_from_yaw, wrap_angle
 from dune_rl.ros.codecs import ARRAYS, ArrayCodec, Channel, MessageError, SensorCodec, Source, Stamp, topic_of
-from dune_rl.ros.transforms import BASE, ODOM, FrameMount, TransformTree, rotation_of
+from dune_rl.ros.transforms import BASE, ODOM, FrameMount, TransformTree, is_rotation, rotation_of
 from dune_rl.sensors.imu import ImuConf
 from dune_rl.sensors.sensor import Reading
 
@@ -52,12 +52,20 @@ class ImuCodec(SensorCodec):
                 "filter"
             )
         force, turn = message.linear_acceleration, message.angular_velocity
-        angles = roll_pitch_yaw(rotation_of(message.orientation))
+        angles = _angles_of(message.orientation)
         most_force, most_turn = self._limits
         found = np.array([force.x, force.y, force.z, turn.x, turn.y, turn.z, *angles])
         found[:3] = np.clip(found[:3], -most_force, most_force)
         found[3:6] = np.clip(found[3:6], -most_turn, most_turn)
         return found.astype(np.float32)
+
+
+def _angles_of(orientation: Any) -> Array:
+    """Roll, pitch and yaw (3,) [rad]; raises MessageError for a Quaternion that is no rotation."""
+    if not is_rotation(orientation):
+        parts = ", ".join(f"{getattr(orientation, axis):g}" for axis in "xyzw")
+        raise MessageError(f"its orientation ({parts}) is no unit quaternion; add one by a filter")
+    return roll_pitch_yaw(rotation_of(orientation))
 
 
 class OdometryCodec(SensorCodec):
@@ -79,7 +87,7 @@ class OdometryCodec(SensorCodec):
 
     def decode(self, reading: str, message: Any, frames: TransformTree, base: str) -> Reading:
         at, twist = message.pose.pose, message.twist.twist
-        yaw = roll_pitch_yaw(rotation_of(at.orientation))[2]
+        yaw = _angles_of(at.orientation)[2]
         found = [at.position.x, at.position.y, yaw, twist.linear.x, twist.angular.z]
         return np.array(found, np.float32)
 

@@ -66,6 +66,8 @@ class ScanCodec(SensorCodec):
         ranges = np.asarray(message.ranges, np.float32)
         yaw = yaw_on_base(message.header.frame_id, frames, base)
         angles = yaw + message.angle_min + np.arange(len(ranges)) * message.angle_increment
+        if not np.isfinite(angles).all():
+            raise MessageError("the angles of its beams are not finite")
         beams = (angles - self._first) / self._step
         if np.isclose(conf.fov_deg, 360.0):
             beams = (beams + 0.5) % conf.n_beams - 0.5
@@ -78,15 +80,18 @@ class ScanCodec(SensorCodec):
                 f"{conf.fov_deg:g} degrees, have no beam of its {len(ranges)} over "
                 f"{np.rad2deg(abs(message.angle_increment) * len(ranges)):.0f} degrees"
             )
-        blind = conf.n_segments - len(np.unique(segment[inside & ~np.isnan(ranges)]))
+        # REP-117: -inf is nearer than can be measured, inf farther, NaN no measurement. Neither are ranges
+        # below range_min: many drivers write 0 where nothing returns.
+        is_known = (ranges >= np.float32(message.range_min)) | np.isneginf(ranges)
+        blind = conf.n_segments - len(np.unique(segment[inside & is_known]))
         if blind:
             raise MessageError(
-                f"{blind} of the {conf.n_segments} segments of {self._name} have only NaN, no measurement; "
-                "let the driver write inf where nothing returns (REP-117)"
+                f"{blind} of the {conf.n_segments} segments of {self._name} have only NaN or ranges below "
+                f"range_min, {message.range_min:g} m; let the driver write inf where nothing returns "
+                "(REP-117)"
             )
-        # REP-117: -inf is nearer than can be measured, inf farther, NaN no measurement.
         farthest, nearest = np.float32(conf.range_m), np.float32(conf.min_range_m)
-        known = np.clip(np.where(np.isnan(ranges), farthest, ranges), nearest, farthest)
+        known = np.clip(np.where(is_known, ranges, farthest), nearest, farthest)
         found: Floats = np.full(conf.n_segments, farthest, np.float32)
         np.minimum.at(found, segment[inside], known[inside])
         return found

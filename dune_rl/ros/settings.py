@@ -13,6 +13,8 @@ from dune_rl.core.settings import Settings
 LOCALHOST, ANY = "localhost", "any"
 # Participants of a domain on one machine that find each other without multicast.
 MOST_PARTICIPANTS: Final = 32
+# Age of a message [s] at which a robot stops.
+MOST_AGE_S: Final = 0.5
 _LAST_DOMAIN = 232
 _DOMAIN_VARIABLE = "ROS_DOMAIN_ID"
 _HOST = re.compile(r"[A-Za-z0-9_.:%-]+")
@@ -84,13 +86,13 @@ class LiveConf(Settings):
 
 
 class DrivingConf(Settings):
-    """How a policy drives on live topics, and when it stops; see `drive_on_topics`."""
+    """How a policy drives on live topics, and when it stops; see `LiveDriver`."""
 
     stamped: bool = False
     dry_run: bool = False
     once: bool = False
     sim_time: bool | None = None
-    max_age_s: float = Field(0.5, gt=0.0)
+    max_age_s: float = Field(MOST_AGE_S, gt=0.0)
     wait_s: float = Field(10.0, gt=0.0, le=3600.0)
     duration_s: float | None = Field(None, gt=0.0)
     max_speed_mps: float | None = Field(None, gt=0.0)

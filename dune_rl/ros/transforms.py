@@ -11,6 +11,7 @@ from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.frames import rotation_from_angles, rotation_matrices
 
 _NS = 1_000_000_000
+_MOST_STRETCH = 0.01
 MAP, ODOM, BASE = "map", "odom", "base_link"
 # From axes of a body (x forward, y left, z up) to those of pictures (x right, y down, z forward).
 OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -59,6 +60,12 @@ def relative_pose(outer: tuple[Array, Array], inner: tuple[Array, Array]) -> tup
     return outer[0] - rotation @ inner[0], rotation
 
 
+def is_rotation(quaternion: Any) -> bool:
+    """Whether a Quaternion message has the length 1, as nearly as tf2 asks; zeros stand for none."""
+    length = math.hypot(quaternion.x, quaternion.y, quaternion.z, quaternion.w)
+    return abs(length - 1.0) < _MOST_STRETCH
+
+
 def rotation_of(quaternion: Any) -> Array:
     """Rotation matrix (3, 3) of a Quaternion message."""
     return rotation_matrices(np.array([quaternion.x, quaternion.y, quaternion.z, quaternion.w]))
@@ -73,10 +80,12 @@ class TransformTree:
         self._stamps: dict[str, int] = {}
 
     def add(self, message: Any, *, is_static: bool = False) -> None:
-        """Take the transforms of a TFMessage, of /tf_static if it `is_static`."""
+        """Take the transforms of a TFMessage, of /tf_static if it `is_static`; no malformed ones."""
         for each in message.transforms:
             moved, turned = each.transform.translation, each.transform.rotation
             position = np.array([moved.x, moved.y, moved.z])
+            if not (is_rotation(turned) and np.isfinite(position).all()):
+                continue
             parent, child = (name.lstrip("/") for name in (each.header.frame_id, each.child_frame_id))
             self._parents[child] = parent, position, rotation_of(turned)
             if not is_static:

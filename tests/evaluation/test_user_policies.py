@@ -1,6 +1,7 @@
 """Policies of users: functions by import path, and ONNX files."""
 
 import csv
+import json
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
@@ -107,7 +108,7 @@ def test_a_folder_alone_runs_no_code(folder: Path, module: str) -> None:
         ("my_drivers:number", "policy=my_drivers:number is no function, but int"),
         ("no_such_module:f", "the module no_such_module cannot be imported"),
         pytest.param(
-            *("absent.onnx", "absent.onnx cannot be read"),
+            *("absent.onnx", "policy=absent.onnx: there is no such file"),
             marks=pytest.mark.skipif(find_spec("onnxruntime") is None, reason="no onnxruntime"),
         ),
     ],
@@ -121,7 +122,7 @@ def test_what_is_no_policy_is_named(
     assert not (folder / "results").exists()
 
 
-def test_an_onnx_file_drives(call: Call, folder: Path) -> None:
+def test_an_onnx_file_drives(call: Call, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("onnxruntime")
     onnx = pytest.importorskip("onnx")
     helper, float32 = onnx.helper, onnx.TensorProto.FLOAT
@@ -143,8 +144,13 @@ def test_an_onnx_file_drives(call: Call, folder: Path) -> None:
             constants,
         )
         model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+        if batch == "n":
+            trained = json.dumps({"decision_s": 0.2, "control_step_s": 0.05})
+            helper.set_model_props(model, {"dune_rl": trained})
         onnx.save(model, folder / f"{name}.onnx")
     assert call(evaluate.main, "policy=[driver.onnx,single.onnx]", *WORDS, "out=results") == 0
+    noted = "note: driver was trained with physics.action_repeat=4, and decides here with 1"
+    assert capsys.readouterr().err.splitlines() == [noted]
     returns = _returns(folder / "results")
     assert list(returns) == ["driver", "single"]
     # Exporters fix the batch at one unless told otherwise.

@@ -2,12 +2,14 @@
 
 import socket
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 
 import numpy as np
 import pytest
 
 from dune_rl.config.commands import ViewConf
 from dune_rl.core.errors import ConfigError
+from dune_rl.rendering.web.server import FIRST_PORT, LAST_PORT, LOCALHOST, check_address
 from dune_rl.reporting.views.episode import EpisodeView
 from dune_rl.reporting.views.live import BY_HAND, LiveSession
 
@@ -72,7 +74,8 @@ def test_a_step_sends_poses_and_no_meshes(open_session: Open) -> None:
 
 
 def test_a_seed_begins_the_same_episode_again(open_session: Open) -> None:
-    session = open_session("policy=random", "seed=3")
+    seed = 3_000_000_000
+    session = open_session("policy=random", f"seed={seed}")
     first = positions(session, 10)
     session.reset()
     np.testing.assert_array_equal(positions(session, 10), first)
@@ -81,7 +84,7 @@ def test_a_seed_begins_the_same_episode_again(open_session: Open) -> None:
     session.seed_input.value = 4
     session.reset()
     other = positions(session, 10)
-    session.seed_input.value = 3
+    session.seed_input.value = seed
     session.reset()
     np.testing.assert_array_equal(positions(session, 10), first)
     assert not np.array_equal(other, first)
@@ -124,6 +127,25 @@ def test_a_port_that_is_taken_is_named_with_what_to_do(conf_of: ConfOf) -> None:
         f"port={conf.port} of 127.0.0.1 is taken: give another, such as port={conf.port + 1}, or end what "
         "listens there"
     )
+
+
+def test_no_port_beyond_the_last_one_is_advised() -> None:
+    with socket.socket() as other:
+        # One that is taken by somebody else serves as well.
+        with suppress(OSError):
+            other.bind((LOCALHOST, LAST_PORT))
+            other.listen()
+        with pytest.raises(ConfigError, match=f"such as port={FIRST_PORT}"):
+            check_address(LOCALHOST, LAST_PORT)
+
+
+def test_an_address_of_ipv6_is_in_brackets(open_session: Open) -> None:
+    try:
+        check_address("::1", FIRST_PORT)
+    except ConfigError:
+        pytest.skip("this machine has no IPv6, or the port is taken")
+    session = open_session("host=::1")
+    assert session.url == f"http://[::1]:{session.page.server.get_port()}"
 
 
 @pytest.mark.parametrize("host", ["192.0.2.1", "no.such.host.invalid"])

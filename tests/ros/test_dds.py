@@ -158,6 +158,10 @@ def test_bad_networks_are_named(network: NetworkConf, monkeypatch: pytest.Monkey
             Participant(NetworkConf())
     with pytest.raises(ConfigError, match="network"):
         parse_words([f"checkpoint={FLAT}", "network=<x/>"])
+    # Cyclone DDS would abort the process.
+    for peer, fault in (("nohost.invalid", "no machine nohost.invalid is known"), ("::1", "no HOST or HOST")):
+        with pytest.raises(ConfigError, match=f"peers: .*{fault}"):
+            Participant(NetworkConf(domain=network.domain_id, peers=(peer,)))
     with pytest.raises(ConfigError, match="there is no such network, or its ports are taken"):
         Participant(NetworkConf(domain=network.domain_id, network="10.255.255.254"))
     first = Participant(network)

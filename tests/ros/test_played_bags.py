@@ -19,7 +19,7 @@ from dune_rl import drive, evaluate, export
 from dune_rl.clients.bag_player import actions_from_bag
 from dune_rl.clients.driven_policy import load_driven_policy
 from dune_rl.clients.policy_interface import PolicyInterface
-from dune_rl.core.errors import ConfigError
+from dune_rl.core.errors import ConfigError, DuneWarning
 from dune_rl.learning.checkpoint import read_policy_file
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.ros.library import message_types
@@ -197,6 +197,26 @@ def without_orientation(topic: str, message: Any) -> Iterable[tuple[str, Any]]:
     yield topic, message
 
 
+def of_zeros(topic: str, message: Any) -> Iterable[tuple[str, Any]]:
+    if topic == "/imu":
+        rotation = message.orientation
+        rotation.x = rotation.y = rotation.z = rotation.w = 0.0
+    yield topic, message
+
+
+def without_turn(topic: str, message: Any) -> Iterable[tuple[str, Any]]:
+    if topic == "/tf_static":
+        for each in message.transforms:
+            each.transform.rotation.w = 0.0
+    yield topic, message
+
+
+def without_angles(topic: str, message: Any) -> Iterable[tuple[str, Any]]:
+    if topic == "/scan":
+        message.angle_increment = np.nan
+    yield topic, message
+
+
 def of_another_map(topic: str, message: Any) -> Iterable[tuple[str, Any]]:
     if topic == "/goal_pose":
         assert message.header.frame_id == MAP
@@ -231,6 +251,13 @@ def as_text(topic: str, message: Any) -> Iterable[tuple[str, Any]]:
         (halved, {}, ["/scan at 0.000 s does not fit lidar: 16 of the 32 segments", "360 degrees"]),
         (of_another_frame, {}, ["its frame 'laser' has no transform to 'base_link' in /tf_static"]),
         (without_orientation, {}, ["/imu at 0.000 s does not fit imu: it has no orientation"]),
+        (
+            of_zeros,
+            {},
+            ["/imu at 0.000 s does not fit imu: its orientation (0, 0, 0, 0) is no unit quaternion"],
+        ),
+        (without_turn, {}, ["its frame 'lidar_link' has no transform to 'base_link' in /tf_static"]),
+        (without_angles, {}, ["/scan at 0.000 s does not fit lidar: the angles of its beams are not finite"]),
         (of_another_map, {"goal": "/goal_pose"}, ["its frame 'utm' has no transform to 'base_link'"]),
     ],
 )
@@ -243,6 +270,17 @@ def test_what_does_not_fit_is_named(
     message = str(caught.value)
     assert all(sentence in message for sentence in sentences), message
     assert message.count("\n") <= 1
+
+
+def test_a_topic_that_stops_is_named(bag: Path, tmp_path: Path) -> None:
+    def first_alone(topic: str, message: Any) -> Iterable[tuple[str, Any]]:
+        return [] if topic == "/scan" and message.header.stamp.nanosec else [(topic, message)]
+
+    with pytest.warns(
+        DuneWarning, match=r"/scan: no message for 0.55 s from 0.00 s on.* would stand"
+    ) as warned:
+        actions_from_bag(rewrite(bag, tmp_path / "stopped", first_alone), POLICY)
+    assert len(warned) == 1
 
 
 def test_what_is_no_bag_is_named(
@@ -261,6 +299,7 @@ def test_what_is_no_bag_is_named(
         ("broken", "bag=broken is no bag that can be read"),
         ("cut.mcap", "bag=cut.mcap is no bag that can be read"),
         ("damaged.mcap", "bag=damaged.mcap is damaged"),
+        (bag.parent, f"is a folder of bags; give one, such as bag={bag.parent / 'episode_0'}"),
     ):
         assert call(drive.main, f"bag={path}", f"checkpoint={POLICY}") == 2
         error = capsys.readouterr().err
@@ -271,6 +310,7 @@ def test_what_is_no_bag_is_named(
         ([f"bag={bag}", f"checkpoint={POLICY}", "perod_s=1"], "period_s"),
         ([f"bag={bag}", f"checkpoint={POLICY}", "period_s=0"], "period_s"),
         ([f"bag={bag}", f"checkpoint={POLICY}", "policy=a.onnx"], "give one policy"),
+        ([f"bag={bag}", "checkpoint=p.onnx"], "checkpoint=p.onnx is an ONNX file: write policy=p.onnx"),
         ([f"bag={bag}", f"policy={POLICY}"], "must end in .onnx; a run's is checkpoint="),
         ([f"bag={bag}", f"checkpoint={POLICY}", "domain=3"], "domain is of live topics: leave bag out"),
         ([f"checkpoint={POLICY}", "out=a.csv"], "out is of bags: give bag=FOLDER"),

@@ -154,7 +154,8 @@ class LivePage:
         """
         port = free_port(host) if port is None else port
         self.server = open_server(host, port, title, announces=announces)
-        self.url = f"http://{host}:{self.server.get_port()}"
+        # Colons of IPv6 are not those of a port.
+        self.url = f"http://{f'[{host}]' if ':' in host else host}:{self.server.get_port()}"
         self.playback = Playback()
         self.panel = Panel(self.server, self.playback)
         self._web = WebScene(self.server)

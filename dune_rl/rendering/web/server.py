@@ -12,7 +12,7 @@ from dune_rl.core.errors import ConfigError
 Server = Any
 
 LOCALHOST = "127.0.0.1"
-FIRST_PORT = 8080
+FIRST_PORT, LAST_PORT = 8080, 65_535
 
 
 def require_viser(setting: str) -> None:
@@ -75,4 +75,5 @@ def check_address(host: str, port: int) -> None:
 
 
 def _taken(host: str, port: int) -> str:
-    return f"port={port} of {host} is taken: give another, such as port={port + 1}, or end what listens there"
+    other = port + 1 if port < LAST_PORT else FIRST_PORT
+    return f"port={port} of {host} is taken: give another, such as port={other}, or end what listens there"

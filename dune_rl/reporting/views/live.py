@@ -90,8 +90,9 @@ class LiveSession:
             self.drivers.on_update(lambda _: ask(lambda: self.choose(self.drivers.value)))
             # A set has one seed, and the settings are those of one of its episodes.
             is_free = self._conf.set is None
+            most = max(self._seed, 2**31 - 1)
             self.seed_input = gui.add_number(
-                "Seed", self._seed, min=0, max=2**31 - 1, step=1, disabled=not is_free
+                "Seed", self._seed, min=0, max=most, step=1, disabled=not is_free
             )
             reset = gui.add_button("Reset")
             reset.on_click(lambda _: ask(self.reset))
