@@ -151,13 +151,15 @@ class LiveDriver:
                 if self._decided_ns is not None and now_ns < self._decided_ns:
                     # The clock has begun anew.
                     due_ns, self._decided_ns, self._begins = None, None, True
-                if due_ns is not None and now_ns < due_ns and not self._readings.clock_stands:
+                is_early = due_ns is not None and now_ns < due_ns
+                if is_early and not self._readings.clock_stands:
                     self._watch()
                     continue
-                # A decision that is late by a period begins the count anew.
-                if due_ns is None or due_ns + self._period_ns <= now_ns:
-                    due_ns = now_ns
-                due_ns += self._period_ns
+                if not is_early:
+                    # A decision that is late by a period begins the count anew.
+                    if due_ns is None or due_ns + self._period_ns <= now_ns:
+                        due_ns = now_ns
+                    due_ns += self._period_ns
                 self._decide(now_ns)
         finally:
             self._stand()

@@ -60,7 +60,9 @@ class LiveReadings:
         self._has_clock = conf.sim_time is not False and _CLOCK in offers
         if self._has_clock:
             self._subscribe(_CLOCK, _CLOCK_TYPE, offers)
-        self._clock_ns, self._ticked_s = 0, time.monotonic()
+        # None before the first tick.
+        self._clock_ns: int | None = None
+        self._ticked_s = time.monotonic()
         # When the last message of each topic arrived, by the clock.
         self._arrived_ns: dict[str, int] = {}
         self.newest_sent_ns = 0
@@ -104,8 +106,8 @@ class LiveReadings:
 
     @property
     def now_ns(self) -> int:
-        """The time [ns] of the clock."""
-        return self._clock_ns if self._has_clock else time.time_ns()
+        """The time [ns] of the clock; 0 before its first tick."""
+        return self._clock_ns or 0 if self._has_clock else time.time_ns()
 
     @property
     def clock_stands(self) -> bool:
@@ -137,7 +139,10 @@ class LiveReadings:
             self._ticked_s = time.monotonic()
 
     def _tick(self, time_ns: int) -> None:
-        if time_ns < self._clock_ns:
+        if self._clock_ns is None:
+            # Of what arrived before, no time was known.
+            self._arrived_ns = dict.fromkeys(self._arrived_ns, time_ns)
+        elif time_ns < self._clock_ns:
             # A simulation has begun anew.
             self._arrived_ns.clear()
             self._readings.forget()
@@ -151,6 +156,8 @@ class LiveReadings:
         """Why nothing can be done now: a topic that is missing or has stopped; empty where there is all."""
         if missing := self._readings.missing:
             return f"{missing[0]}: no message yet{self._hint(missing[0])}"
+        if self._has_clock and self._clock_ns is None:
+            return f"{_CLOCK}: no message yet"
         if self.clock_stands:
             return f"{_CLOCK} stands still"
         for topic in {*self._readings.topics.values()}:

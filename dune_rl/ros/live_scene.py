@@ -109,6 +109,8 @@ class LiveScene:
     ) -> None:
         self._simulation, self._participant, self._conf, self._report = simulation, participant, conf, report
         self._topics = SimulationTopics.of(simulation, 1)
+        # First, so that whoever finds another topic knows whose time its stamps have.
+        participant.advertise("/clock", full_name("rosgraph_msgs/Clock"))
         for group in simulation.external:
             if not group.has_speed_and_heading:
                 raise ConfigError(

@@ -185,7 +185,8 @@ def test_a_domain_whose_ports_are_taken_is_named(network: NetworkConf) -> None:
 
 def test_a_policy_drives_a_scene_to_its_goal(network: NetworkConf) -> None:
     """Both in this process; see below for two."""
-    conf = compose(RosConf, ["actors=none", "seed=3", "speed=8", "duration_s=60"], (), load_config(FLAT))
+    conf = compose(RosConf, ["actors=none", "seed=3", "speed=8"], (), load_config(FLAT))
+    policy = load_driven_policy(FLAT)
     simulation = make_simulation(without_ends(conf), 1, conf.seed)
     tasks = {group.name: group.task for group in conf.external_groups}
     lines: list[str] = []
@@ -196,7 +197,7 @@ def test_a_policy_drives_a_scene_to_its_goal(network: NetworkConf) -> None:
     running.start()
     said: list[str] = []
     driver = LiveDriver(
-        load_driven_policy(FLAT),
+        policy,
         participants[1],
         DrivingConf(once=True, wait_s=PATIENCE_S),
         said.append,

@@ -16,6 +16,7 @@ from dune_rl.clients.driven_policy import DrivenPolicy
 from dune_rl.clients.live_driver import LiveDriver
 from dune_rl.clients.policy_interface import PolicyInterface
 from dune_rl.core.errors import ConfigError
+from dune_rl.ros.live_readings import LiveReadings
 from dune_rl.ros.settings import DrivingConf
 
 SECOND = 1_000_000_000
@@ -309,6 +310,23 @@ def test_a_simulation_that_begins_anew_is_followed() -> None:
 
     rig.run(40, restart)
     assert len(rig.seen) == 15 + 20 and rig.begins.count(True) == 2 and not rig.stops
+
+
+@pytest.mark.parametrize("first", [0, 20])
+def test_a_clock_that_stands_stops_the_robot_until_it_ticks(
+    first: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = Rig(wait_s=60.0)
+    monkeypatch.setattr(LiveReadings, "clock_stands", property(lambda self: "/clock" in rig.silent))
+
+    def hold_back(turn: int) -> None:
+        rig.silent = {"/clock"} if first <= turn < 60 else set()
+
+    rig.run(70, hold_back)
+    waiting = ["waiting: /clock: no message yet", "driving"]
+    stopping = ["driving", "stopped: /clock stands still", "driving again"]
+    assert rig.lines == (stopping if first else waiting)
+    assert rig.commands[-2] == pytest.approx((0.8, 0.5))
 
 
 def test_another_mount_is_named() -> None:

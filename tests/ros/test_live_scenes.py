@@ -132,6 +132,8 @@ def test_a_robot_follows_twists_and_stops_without_them(stage: Any) -> None:
         for message in driven.board.written["/clock"]
     ]
     assert stamps == list(range(101))
+    # Drivers choose their time when they find the other topics.
+    assert next(iter(driven.board.written)) == "/clock"
 
 
 def test_stamped_commands_and_several_robots(stage: Any) -> None:
