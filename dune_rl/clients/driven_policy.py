@@ -19,10 +19,10 @@ from dune_rl.learning.networks.policy import BEGINS
 from dune_rl.learning.onnx_policy import OnnxPolicy
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.saved_policies import read_saved_policy, saved_entry
-from dune_rl.ros.codecs import ArrayCodec, SensorCodec
-from dune_rl.ros.motion import GoalCodec
+from dune_rl.ros.codecs.choice import make_codec
+from dune_rl.ros.codecs.codec import ArrayCodec, SensorCodec
+from dune_rl.ros.codecs.motion import GoalCodec
 from dune_rl.ros.readings import ReadingSource
-from dune_rl.ros.sensor_topics import make_codec
 from dune_rl.sensors.lidar import LidarConf
 from dune_rl.sensors.past_scan import LidarPastConf
 from dune_rl.sensors.sensor import Reading

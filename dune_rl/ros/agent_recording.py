@@ -7,10 +7,10 @@ import numpy as np
 
 from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.frames import rotation_from_yaw
-from dune_rl.ros.codecs import Stamp
+from dune_rl.ros.codecs.codec import Stamp
+from dune_rl.ros.codecs.motion import planar_pose
 from dune_rl.ros.group_topics import ODOMETRY, GroupTopics
 from dune_rl.ros.library import MessageSink, time_ns_of
-from dune_rl.ros.motion import planar_pose
 from dune_rl.ros.transforms import BASE, MAP, ODOM, relative_pose
 from dune_rl.sensors.sensor import Reading
 from dune_rl.state.state import GroupState, State

@@ -5,8 +5,8 @@ from typing import Any
 
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.geometry.arrays import Array
-from dune_rl.ros.codecs import SensorCodec
-from dune_rl.ros.sensor_topics import make_codec
+from dune_rl.ros.codecs.choice import make_codec
+from dune_rl.ros.codecs.codec import SensorCodec
 from dune_rl.ros.transforms import FrameMount
 from dune_rl.ros.velocity_commands import twist_of_action
 from dune_rl.sensors.lidar import LidarConf

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from dune_rl.geometry.arrays import Array, Floats
-from dune_rl.ros.codecs import MessageError
+from dune_rl.ros.codecs.codec import MessageError
 from dune_rl.ros.transforms import TransformTree
 from dune_rl.sensors.lidar import LidarConf
 from dune_rl.sensors.past_scan import PastScan

@@ -9,7 +9,7 @@ import numpy as np
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.suggestions import one_of
-from dune_rl.ros.codecs import ARRAYS, ArrayCodec, MessageError, SensorCodec, Source
+from dune_rl.ros.codecs.codec import ARRAYS, ArrayCodec, MessageError, SensorCodec, Source
 from dune_rl.ros.library import full_name, stamp_ns
 from dune_rl.ros.past_scans import PastScans
 from dune_rl.ros.transforms import BASE, ODOM, FrameMount, TransformTree

@@ -14,7 +14,7 @@ from dune_rl.core.version import VERSION
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.gazebo.episode import is_recorded
 from dune_rl.gazebo.folder import check_folder, write_aside
-from dune_rl.gazebo.robot import WrittenRobot
+from dune_rl.gazebo.robot.files import WrittenRobot
 from dune_rl.gazebo.scene import SURFACES, WORLD, WrittenScene, write_robots, write_scene
 
 # Where a robot is exported without a world.

@@ -2,10 +2,10 @@
 
 from collections.abc import Mapping
 
-from dune_rl.ros.codecs import ArrayCodec, SensorCodec
-from dune_rl.ros.motion import GoalCodec, ImuCodec, OdometryCodec, VelocityCodec
-from dune_rl.ros.pictures import CameraCodec
-from dune_rl.ros.scans import CloudCodec, ScanCodec
+from dune_rl.ros.codecs.codec import ArrayCodec, SensorCodec
+from dune_rl.ros.codecs.motion import GoalCodec, ImuCodec, OdometryCodec, VelocityCodec
+from dune_rl.ros.codecs.pictures import CameraCodec
+from dune_rl.ros.codecs.scans import CloudCodec, ScanCodec
 from dune_rl.sensors.camera import CameraConf
 from dune_rl.sensors.imu import ImuConf
 from dune_rl.sensors.lidar import LidarConf

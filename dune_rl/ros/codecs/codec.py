@@ -1,4 +1,4 @@
-"""Sensors as messages, and their readings out of messages: what codecs share, and which sensor has which."""
+"""What codecs of sensors share: topics, stamps, arrays, and where a sensor is turned to."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from dune_rl.geometry.arrays import Floats
-from dune_rl.ros.codecs import Channel, MessageError, SensorCodec, Source, Stamp, topic_of, yaw_on_base
+from dune_rl.ros.codecs.codec import Channel, MessageError, SensorCodec, Source, Stamp, topic_of, yaw_on_base
 from dune_rl.ros.transforms import FrameMount, TransformTree
 from dune_rl.sensors.beams import bearings, fan
 from dune_rl.sensors.lidar import LidarConf

@@ -9,9 +9,9 @@ from xml.etree.ElementTree import Comment, Element
 from dune_rl.core.version import VERSION
 from dune_rl.gazebo.elements import SDF_VERSION, add, add_pose, document_text, make_sdf, words
 from dune_rl.gazebo.mesh_folder import MeshFolder
-from dune_rl.gazebo.robot_bodies import RobotBodies, lowest_point
-from dune_rl.gazebo.robot_plugins import make_plugins
-from dune_rl.gazebo.robot_sensors import MountedSensor, make_sensors
+from dune_rl.gazebo.robot.bodies import RobotBodies, lowest_point
+from dune_rl.gazebo.robot.plugins import make_plugins
+from dune_rl.gazebo.robot.sensors import MountedSensor, make_sensors
 from dune_rl.gazebo.world import add_material, add_surface
 from dune_rl.robots.robot import Robot
 from dune_rl.robots.urdf.bodies import RigidBody

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from dune_rl.ros.codecs import Channel, MessageError, SensorCodec, Source, Stamp
+from dune_rl.ros.codecs.codec import Channel, MessageError, SensorCodec, Source, Stamp
 from dune_rl.ros.transforms import OPTICAL, FrameMount, TransformTree
 from dune_rl.sensors.camera import CameraConf
 from dune_rl.sensors.lens import Lens

@@ -7,7 +7,16 @@ import numpy as np
 
 from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.frames import roll_pitch_yaw, rotation_from_angles, rotation_from_yaw, wrap_angle
-from dune_rl.ros.codecs import ARRAYS, ArrayCodec, Channel, MessageError, SensorCodec, Source, Stamp, topic_of
+from dune_rl.ros.codecs.codec import (
+    ARRAYS,
+    ArrayCodec,
+    Channel,
+    MessageError,
+    SensorCodec,
+    Source,
+    Stamp,
+    topic_of,
+)
 from dune_rl.ros.transforms import BASE, ODOM, FrameMount, TransformTree, rotation_of
 from dune_rl.sensors.imu import ImuConf
 from dune_rl.sensors.sensor import Reading
