@@ -30,10 +30,10 @@ from live_topics import random_domain
 from dune_rl.clients.driven_policy import load_driven_policy
 from dune_rl.clients.live_driver import LiveDriver
 from dune_rl.commands.drive import parse_words
-from dune_rl.commands.ros import without_ends
 from dune_rl.config.build import make_simulation
 from dune_rl.config.commands import RosConf
 from dune_rl.config.compose import compose
+from dune_rl.config.endless import without_ends
 from dune_rl.core.errors import ConfigError
 from dune_rl.ros.dds import Participant
 from dune_rl.ros.dds_types import dds_type, message_struct, ros_topic, ros_type

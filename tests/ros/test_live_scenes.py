@@ -13,10 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from live_topics import TopicBoard
 
-from dune_rl.commands.ros import without_ends
 from dune_rl.config.build import make_simulation
 from dune_rl.config.commands import RosConf
 from dune_rl.config.compose import compose
+from dune_rl.config.endless import without_ends
 from dune_rl.core.errors import ConfigError
 from dune_rl.ros.dds import Offer
 from dune_rl.ros.live_scene import LiveScene, LiveSummary
