@@ -7,7 +7,7 @@ import numpy as np
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.geometry.arrays import Array
-from dune_rl.ros.transforms import quaternion_of
+from dune_rl.geometry.frames import quaternions
 
 _NS = 1_000_000_000
 
@@ -58,7 +58,7 @@ class MessageTypes:
 
     def quaternion(self, rotation: Array) -> Any:
         """A Quaternion of a rotation matrix (3, 3)."""
-        x, y, z, w = quaternion_of(rotation)
+        x, y, z, w = quaternions(rotation).tolist()
         return self.make("geometry_msgs/Quaternion", x=x, y=y, z=z, w=w)
 
     def pose(self, position: Array, rotation: Array) -> Any:

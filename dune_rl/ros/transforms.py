@@ -1,6 +1,5 @@
 """Frames of ROS (REP-103 axes, REP-105 names) and the transforms between them."""
 
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -30,27 +29,6 @@ class FrameMount:
         """A frame on the body, pitched down by `pitch_rad`; the body's own origin without `mount_b`."""
         position = np.zeros(3) if mount_b is None else np.array(list(mount_b), np.float64)
         return cls(BASE, name, position, rotation_from_angles(np.array([0.0, pitch_rad, 0.0])))
-
-
-def quaternion_of(rotation: Array) -> tuple[float, float, float, float]:
-    """Unit quaternion x, y, z, w of a rotation matrix (3, 3), with w of at least 0.
-
-    From the largest of its numbers, as in "Quaternion from rotation matrix", Journal of Guidance and
-    Control 1 (1978).
-    """
-    # Plain numbers: SciPy takes many times as long for one matrix.
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rotation.tolist()
-    fourfold = (1.0 + xx - yy - zz, 1.0 - xx + yy - zz, 1.0 - xx - yy + zz, 1.0 + xx + yy + zz)
-    largest = max(range(4), key=fourfold.__getitem__)
-    parts = (
-        (fourfold[0], xy + yx, xz + zx, zy - yz),
-        (xy + yx, fourfold[1], yz + zy, xz - zx),
-        (xz + zx, yz + zy, fourfold[2], yx - xy),
-        (zy - yz, xz - zx, yx - xy, fourfold[3]),
-    )[largest]
-    scale = math.copysign(0.5 / math.sqrt(fourfold[largest]), parts[3])
-    x, y, z, w = (scale * part for part in parts)
-    return x, y, z, w
 
 
 def relative_pose(outer: tuple[Array, Array], inner: tuple[Array, Array]) -> tuple[Array, Array]:

@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.geometry.arrays import Array
+from dune_rl.geometry.frames import quaternions
 from dune_rl.rendering.baked_scenery import BakedScenery
 from dune_rl.rendering.light import Light, linear_to_srgb
 from dune_rl.rendering.moving_mesh import PosedMesh, RayMesh
 from dune_rl.rendering.participating_media import ParticipatingMedia
 from dune_rl.rendering.scenery import ColouredMesh
-from dune_rl.rendering.web.gltf import GltfFile, Surface, quaternions
+from dune_rl.rendering.web.gltf import GltfFile, Surface
 from dune_rl.rendering.web.server import Server
 from dune_rl.rendering.web.surfaces import body_surfaces, sky_surface, world_surfaces
 
