@@ -12,7 +12,7 @@ from dune_rl.commands import command_line
 from dune_rl.config.checks import validate
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.files import write_csv
-from dune_rl.ros.dds_types import require_cyclonedds
+from dune_rl.ros.dds_types import require_live_topics
 from dune_rl.ros.library import require_rosbags
 from dune_rl.ros.settings import DrivingConf, NetworkConf
 
@@ -74,8 +74,7 @@ def run(words: Sequence[str]) -> None:
 
 
 def _drive(conf: DriveConf) -> None:
-    require_cyclonedds()
-    require_rosbags("live topics")
+    require_live_topics()
     # Only now, since loading PyTorch takes seconds.
     from dune_rl.clients.driven_policy import load_driven_policy
     from dune_rl.clients.live_driver import LiveDriver

@@ -9,8 +9,7 @@ from dune_rl.config.commands import RosConf
 from dune_rl.config.compose import compose, override_value
 from dune_rl.config.endless import without_ends
 from dune_rl.learning.checkpoint import read_policy_file
-from dune_rl.ros.dds_types import require_cyclonedds
-from dune_rl.ros.library import require_rosbags
+from dune_rl.ros.dds_types import require_live_topics
 
 
 def run(words: Sequence[str]) -> None:
@@ -22,8 +21,7 @@ def run(words: Sequence[str]) -> None:
     if parsed.cfg:
         command_line.print_settings(conf)
         return
-    require_cyclonedds()
-    require_rosbags("live topics")
+    require_live_topics()
     # Only now, since loading the physics engine takes seconds.
     from dune_rl.config.build import make_simulation
     from dune_rl.learning.process import stop_on_signals

@@ -10,7 +10,8 @@ from dune_rl.geometry.frames import rotation_from_yaw
 from dune_rl.ros.codecs.codec import Stamp
 from dune_rl.ros.codecs.motion import planar_pose
 from dune_rl.ros.group_topics import ODOMETRY, GroupTopics
-from dune_rl.ros.library import MessageSink, time_ns_of
+from dune_rl.ros.library import MessageSink
+from dune_rl.ros.times import time_ns_of
 from dune_rl.ros.transforms import BASE, MAP, ODOM, relative_pose
 from dune_rl.sensors.sensor import Reading
 from dune_rl.state.state import GroupState, State

@@ -9,9 +9,9 @@ from dune_rl.core.errors import ConfigError
 from dune_rl.ros.bag import read_told
 from dune_rl.ros.library import message_types, require_rosbags
 from dune_rl.ros.readings import TF, TF_STATIC, ReadingSource, RobotReadings
+from dune_rl.ros.times import NS_PER_S
 from dune_rl.sensors.sensor import Reading
 
-_NS = 1_000_000_000
 # A message that is logged so much later than a decision still counts: times of bags are rounded.
 _TOLERANCE_NS = 1_000
 
@@ -56,7 +56,7 @@ class BagReadings:
         for topic, time_ns, message in self._messages({*readings.topics.values(), TF}):
             readings.settle(time_ns)
             until_ns = min(last_ns, time_ns - _TOLERANCE_NS)
-            while (due_ns := first_ns + round(number * period_s * _NS)) < until_ns:
+            while (due_ns := first_ns + round(number * period_s * NS_PER_S)) < until_ns:
                 yield due_ns, readings.observation(due_ns)
                 number += 1
             readings.take(topic, message, time_ns)

@@ -8,8 +8,7 @@ import numpy as np
 from dune_rl.core.errors import ConfigError
 from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.frames import quaternions
-
-_NS = 1_000_000_000
+from dune_rl.ros.times import NS_PER_S
 
 
 def require_rosbags(setting: str = "bag=FOLDER") -> None:
@@ -46,7 +45,7 @@ class MessageTypes:
         return data
 
     def time(self, time_ns: int) -> Any:
-        return self.make("builtin_interfaces/Time", sec=time_ns // _NS, nanosec=time_ns % _NS)
+        return self.make("builtin_interfaces/Time", sec=time_ns // NS_PER_S, nanosec=time_ns % NS_PER_S)
 
     def header(self, time_ns: int, frame: str) -> Any:
         return self.make("std_msgs/Header", stamp=self.time(time_ns), frame_id=frame)
@@ -125,16 +124,6 @@ def full_name(name: str) -> str:
     """The type's name in bags: `std_msgs/msg/Bool` of `std_msgs/Bool`."""
     package, _, message = name.partition("/")
     return f"{package}/msg/{message}"
-
-
-def time_ns_of(steps: int, step_s: float) -> int:
-    """The time after `steps` control steps of `step_s`, rounded to a nanosecond."""
-    return round(steps * step_s * _NS)
-
-
-def stamp_ns(stamp: Any) -> int:
-    """The time of a `builtin_interfaces/Time`."""
-    return int(stamp.sec) * _NS + int(stamp.nanosec)
 
 
 def latched_qos() -> Any:

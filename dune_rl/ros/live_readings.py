@@ -6,14 +6,14 @@ from typing import Any
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.ros.dds import Offer, Participant, Subscription
-from dune_rl.ros.library import full_name, stamp_ns
+from dune_rl.ros.library import full_name
 from dune_rl.ros.readings import POSE, TF, TF_STATIC, ReadingSource, RobotReadings, check_parts
 from dune_rl.ros.settings import DrivingConf
+from dune_rl.ros.times import NS_PER_S, header_ns, stamp_ns
 from dune_rl.sensors.sensor import Reading
 
 _CLOCK, _CLOCK_TYPE = "/clock", full_name("rosgraph_msgs/Clock")
 _TF_TYPE = full_name("tf2_msgs/TFMessage")
-_NS = 1_000_000_000
 # Topics become known one after another: what is there twice, so long apart, is all [s].
 _LOOK_S = 0.3
 # A simulation's clock that does not tick for so long, in real time, stands still [s].
@@ -133,7 +133,7 @@ class LiveReadings:
             self._arrived_ns[topic] = now_ns
             if topic != TF_STATIC and not self._is_event(topic):
                 self.newest_sent_ns = max(self.newest_sent_ns, sent_ns)
-            self._readings.take(topic, message, _stamp_of(message) or now_ns)
+            self._readings.take(topic, message, header_ns(message) or now_ns)
         if any(topic == _CLOCK for _, topic, _ in found):
             # Now: the first messages take a while.
             self._ticked_s = time.monotonic()
@@ -165,24 +165,24 @@ class LiveReadings:
                 return fault
         for frame, reference in self._readings.transforms:
             oldest_ns = self._readings.frames.oldest_ns(frame, reference)
-            if oldest_ns is not None and self.now_ns - oldest_ns > self._conf.max_age_s * _NS:
-                age_s = (self.now_ns - oldest_ns) / _NS
+            if oldest_ns is not None and self.now_ns - oldest_ns > self._conf.max_age_s * NS_PER_S:
+                age_s = (self.now_ns - oldest_ns) / NS_PER_S
                 return f"{TF}: the last pose of {frame} in {reference} is {age_s:.2f} s old"
         return ""
 
     def _age_fault(self, topic: str) -> str:
-        most_ns, now_ns = round(self._conf.max_age_s * _NS), self.now_ns
+        most_ns, now_ns = round(self._conf.max_age_s * NS_PER_S), self.now_ns
         silent_ns = now_ns - self._arrived_ns.get(topic, now_ns)
         if silent_ns > most_ns:
-            return f"{topic}: no message for {silent_ns / _NS:.2f} s{self._hint(topic)}"
-        stamp = _stamp_of(self._readings.message_of(topic))
+            return f"{topic}: no message for {silent_ns / NS_PER_S:.2f} s{self._hint(topic)}"
+        stamp = header_ns(self._readings.message_of(topic))
         if stamp is None or abs(now_ns - stamp) <= most_ns:
             return ""
         side = "behind" if stamp < now_ns else "ahead of"
         whose = _CLOCK if self._has_clock else "this machine's clock"
         return (
-            f"{topic}: stamps are {abs(now_ns - stamp) / _NS:.2f} s {side} {whose}; synchronise the clocks, "
-            "or set max_age_s=S"
+            f"{topic}: stamps are {abs(now_ns - stamp) / NS_PER_S:.2f} s {side} {whose}; synchronise the "
+            "clocks, or set max_age_s=S"
         )
 
     def _hint(self, topic: str) -> str:
@@ -200,10 +200,3 @@ class LiveReadings:
     def misplaced(self) -> list[str]:
         """See `RobotReadings.misplaced`."""
         return self._readings.misplaced()
-
-
-def _stamp_of(message: Any) -> int | None:
-    """The time of a message's header [ns]; None without one, and for 0, which is unknown."""
-    if not hasattr(message, "header"):
-        return None
-    return stamp_ns(message.header.stamp) or None

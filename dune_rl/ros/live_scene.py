@@ -12,9 +12,10 @@ from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.geometry.arrays import Array
 from dune_rl.ros.dds import Participant, Subscription
-from dune_rl.ros.library import full_name, time_ns_of
+from dune_rl.ros.library import full_name
 from dune_rl.ros.scene_recording import SceneRecording, SimulationTopics
 from dune_rl.ros.settings import LiveConf
+from dune_rl.ros.times import time_ns_of
 from dune_rl.ros.transforms import MAP
 from dune_rl.ros.velocity_commands import TWIST, TWIST_STAMPED, VelocityCommands
 from dune_rl.tasks.task import DIVERGED, Task, TaskConf

@@ -6,12 +6,11 @@ import numpy as np
 
 from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.ros.codecs.codec import MessageError
+from dune_rl.ros.times import NS_PER_S
 from dune_rl.ros.transforms import TransformTree
 from dune_rl.sensors.lidar import LidarConf
 from dune_rl.sensors.past_scan import PastScan
 from dune_rl.sensors.sensor import Reading
-
-_NS = 1_000_000_000
 
 
 class PastScans:
@@ -21,7 +20,7 @@ class PastScans:
     """
 
     def __init__(self, conf: LidarConf, past_s: float, odom: str, base: str) -> None:
-        self._conf, self._past_ns = conf, round(past_s * _NS)
+        self._conf, self._past_ns = conf, round(past_s * NS_PER_S)
         self._odom, self._base = odom, base
         self._past = PastScan(conf, 1, 0)
         # Times and end points, the oldest first.

@@ -10,15 +10,15 @@ import numpy as np
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.suggestions import one_of
 from dune_rl.ros.codecs.codec import ARRAYS, ArrayCodec, MessageError, SensorCodec, Source
-from dune_rl.ros.library import full_name, stamp_ns
+from dune_rl.ros.library import full_name
 from dune_rl.ros.past_scans import PastScans
+from dune_rl.ros.times import NS_PER_S, stamp_ns
 from dune_rl.ros.transforms import BASE, ODOM, FrameMount, TransformTree
 from dune_rl.sensors.lidar import LidarConf
 from dune_rl.sensors.sensor import Reading
 
 TF, TF_STATIC = "/tf", "/tf_static"
 SCAN, POSE = full_name("sensor_msgs/LaserScan"), full_name("geometry_msgs/PoseStamped")
-_NS = 1_000_000_000
 _TRUTH = "/ground_truth/odom"
 _ARRAY_NAMES = tuple(map(full_name, ARRAYS))
 _SHOWN = 6
@@ -208,7 +208,7 @@ class RobotReadings:
         except MessageError as error:
             at = ""
             if hasattr(message, "header"):
-                at = f" at {stamp_ns(message.header.stamp) / _NS:.3f} s"
+                at = f" at {stamp_ns(message.header.stamp) / NS_PER_S:.3f} s"
             raise ConfigError(
                 f"{self._origin}: {self.topics[part]}{at} does not fit {part}: {error}"
             ) from None

@@ -1,6 +1,6 @@
 """Frames of ROS (REP-103 axes, REP-105 names) and the transforms between them."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,8 +8,8 @@ import numpy as np
 
 from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.frames import rotation_from_angles, rotation_matrices
+from dune_rl.ros.times import stamp_ns
 
-_NS = 1_000_000_000
 MAP, ODOM, BASE = "map", "odom", "base_link"
 # From axes of a body (x forward, y left, z up) to those of pictures (x right, y down, z forward).
 OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -58,7 +58,7 @@ class TransformTree:
             parent, child = (name.lstrip("/") for name in (each.header.frame_id, each.child_frame_id))
             self._parents[child] = parent, position, rotation_of(turned)
             if not is_static:
-                self._stamps[child] = int(each.header.stamp.sec) * _NS + int(each.header.stamp.nanosec)
+                self._stamps[child] = stamp_ns(each.header.stamp)
 
     def pose(self, frame: str, reference: str) -> tuple[Array, Array] | None:
         """Position (3,) and rotation (3, 3) of `frame` in `reference`, above it; None where none leads there.
@@ -95,8 +95,3 @@ class TransformTree:
             found.append(at)
             at = self._parents[at][0]
         return found
-
-    @property
-    def frames(self) -> Mapping[str, str]:
-        """The parent of each frame."""
-        return {child: parent for child, (parent, *_) in self._parents.items()}
