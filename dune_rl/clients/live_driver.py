@@ -103,10 +103,8 @@ class LiveDriver:
                 "as /cmd_vel needs"
             )
         self._policy, self._participant, self._conf, self._report = policy, participant, conf, report
-        self._vehicle, self._period_ns = (
-            interface.vehicle,
-            round((period_s or interface.decision_s) * NS_PER_S),
-        )
+        self._vehicle = interface.vehicle
+        self._period_ns = round((period_s or interface.decision_s) * NS_PER_S)
         self._low = np.array([each.low for each in interface.action])
         self._high = np.array([each.high for each in interface.action])
         parts = policy.sources()
@@ -257,7 +255,7 @@ class LiveDriver:
 
     def _write(self, speed_mps: float, yaw_rate_radps: float) -> None:
         types, now_ns = self._participant.types, self._readings.now_ns
-        message = types.twist(np.array([speed_mps, 0.0, 0.0]), np.array([0.0, 0.0, yaw_rate_radps]))
+        message = types.planar_twist(speed_mps, yaw_rate_radps)
         if self._conf.stamped:
             header = types.header(now_ns, self._frame)
             message = types.make("geometry_msgs/TwistStamped", header=header, twist=message)

@@ -40,6 +40,7 @@ from dune_rl.ros.dds_types import dds_type, message_struct, ros_topic, ros_type
 from dune_rl.ros.library import message_types
 from dune_rl.ros.live_scene import LiveScene
 from dune_rl.ros.settings import DrivingConf, NetworkConf
+from dune_rl.ros.transforms import Pose
 
 FLAT = ROOT / "experiments" / "flat" / "seed1" / "policy.pt"
 # How long a test waits for something that comes at once on an idle machine [s].
@@ -110,7 +111,8 @@ def test_another_program_reads_what_is_published(
 
 def test_latched_messages_reach_those_who_come_later(network: NetworkConf, participant: Participant) -> None:
     types = participant.types
-    frame = types.transform(types.header(0, "base_link"), "lidar_link", np.array([0.1, 0.2, 0.3]), np.eye(3))
+    pose = Pose(np.array([0.1, 0.2, 0.3]), np.eye(3))
+    frame = types.transform(types.header(0, "base_link"), "lidar_link", pose)
     message = types.make("tf2_msgs/TFMessage", transforms=[frame])
     participant.write("/tf_static", message, 0, latched=True)
     other = DomainParticipant(network.domain_id)

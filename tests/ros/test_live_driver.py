@@ -18,6 +18,7 @@ from dune_rl.clients.policy_interface import PolicyInterface
 from dune_rl.core.errors import ConfigError
 from dune_rl.ros.live_readings import LiveReadings
 from dune_rl.ros.settings import DrivingConf
+from dune_rl.ros.transforms import ORIGIN, Pose
 
 SECOND = 1_000_000_000
 INTERFACE = PolicyInterface.model_validate(
@@ -52,6 +53,10 @@ INTERFACE = PolicyInterface.model_validate(
         "goal_m": 0.75,
     }
 )
+
+
+def _at(x: float, y: float, z: float) -> Pose:
+    return Pose(np.array([x, y, z]), np.eye(3))
 
 
 class Rig:
@@ -114,7 +119,6 @@ class Rig:
     def _publish(self) -> None:
         types, now_ns = self.board.types, (self.turn + 1) * SECOND // 20
         stamp_ns = now_ns - round(self.late_s * SECOND)
-        level = np.eye(3)
 
         def put(topic: str, message: Any) -> None:
             if topic not in self.silent:
@@ -122,19 +126,18 @@ class Rig:
 
         put("/clock", types.make("rosgraph_msgs/Clock", clock=types.time(now_ns)))
         if self.turn == 0:
-            mount = types.transform(types.header(0, "base_link"), "laser", self.mount, level)
+            mount = types.transform(types.header(0, "base_link"), "laser", _at(*self.mount))
             put("/tf_static", types.make("tf2_msgs/TFMessage", transforms=[mount]))
-            pose = types.pose(np.array([*self.goal, 0.0]), level)
+            pose = types.pose(_at(*self.goal, 0.0))
             header = types.header(0, "map")
             put("/goal_pose", types.make("geometry_msgs/PoseStamped", header=header, pose=pose))
         frames = [
-            types.transform(types.header(now_ns, "map"), "odom", np.zeros(3), level),
-            types.transform(types.header(now_ns, "odom"), "base_link", np.array([1.0, 0.0, 0.0]), level),
+            types.transform(types.header(now_ns, "map"), "odom", ORIGIN),
+            types.transform(types.header(now_ns, "odom"), "base_link", _at(1.0, 0.0, 0.0)),
         ]
         put("/tf", types.make("tf2_msgs/TFMessage", transforms=frames))
-        zero = np.zeros(3)
         header = types.header(now_ns, "odom")
-        put("/odom", types.odometry(header, "base_link", (zero, level), (np.array([0.3, 0, 0]), zero)))
+        put("/odom", types.odometry(header, "base_link", ORIGIN, types.planar_twist(0.3, 0.0)))
         put(
             "/scan",
             types.make(
@@ -276,7 +279,7 @@ def test_the_robot_stands_at_the_goal_and_goes_to_the_next() -> None:
     def send(turn: int) -> None:
         if turn in (10, 30):
             types = rig.board.types
-            pose = types.pose(np.array([1.5 if turn == 10 else 9.0, 0.0, 0.0]), np.eye(3))
+            pose = types.pose(_at(1.5 if turn == 10 else 9.0, 0.0, 0.0))
             header = types.header(0, "map")
             rig.board.put("/goal_pose", types.make("geometry_msgs/PoseStamped", header=header, pose=pose))
 

@@ -44,7 +44,7 @@ def make_sensors(
     """The sensors that Gazebo has, read every control step of `step_s` or slower, and names of the others."""
     found, others = [], []
     for name, conf in sensors.items():
-        every = 1 if conf.realism is None else conf.realism.steps(step_s)[0]
+        every, _ = conf.steps(step_s)
         period_s = every * step_s
         pitch_rad = 0.0
         match conf:

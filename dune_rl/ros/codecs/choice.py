@@ -23,7 +23,7 @@ def make_codec(
     if standard:
         match conf:
             case LidarConf():
-                every = 1 if conf.realism is None else conf.realism.steps(step_s)[0]
+                every, _ = conf.steps(step_s)
                 return ScanCodec(name, conf, every * step_s)
             case Lidar3dConf() if "range" in conf.outputs:
                 return CloudCodec(name, conf)

@@ -30,7 +30,7 @@ class ScanCodec(SensorCodec):
         self._topic, self._frame = topic_of(name, "lidar", "scan"), f"{name}_link"
         self.channels = (Channel(self._topic, _SCAN),)
         self.mounts = (FrameMount.on_base(self._frame, conf.mount_b),)
-        self.sources = {name: Source(self._topic, (_SCAN,))}
+        self.sources = {name: (Source(self._topic, (_SCAN,)),)}
         angles = bearings(float(np.deg2rad(conf.fov_deg)), conf.n_beams)
         self._first = float(angles[0])
         self._step = float(angles[1] - angles[0]) if conf.n_beams > 1 else float(np.deg2rad(conf.fov_deg))
@@ -104,7 +104,7 @@ class CloudCodec(SensorCodec):
         self._topic, self._frame = topic_of(name, "lidar_3d", "points"), f"{name}_link"
         self.channels = (Channel(self._topic, _CLOUD),)
         self.mounts = (FrameMount.on_base(self._frame, conf.mount_b),)
-        self.sources = {f"{name}_{output}": Source(self._topic, (_CLOUD,)) for output in conf.outputs}
+        self.sources = {f"{name}_{output}": (Source(self._topic, (_CLOUD,)),) for output in conf.outputs}
         highest, lowest, fov = np.deg2rad(
             [conf.highest_elevation_deg, conf.lowest_elevation_deg, conf.fov_deg]
         )
