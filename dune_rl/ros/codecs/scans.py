@@ -8,7 +8,7 @@ import numpy as np
 from dune_rl.geometry.arrays import Floats
 from dune_rl.ros.codecs.codec import Channel, MessageError, SensorCodec, Source, Stamp, topic_of, yaw_on_base
 from dune_rl.ros.transforms import FrameMount, TransformTree
-from dune_rl.sensors.beams import bearings, fan
+from dune_rl.sensors.beams import bearings
 from dune_rl.sensors.lidar import LidarConf
 from dune_rl.sensors.lidar_3d import Lidar3dConf
 from dune_rl.sensors.sensor import Reading
@@ -105,11 +105,7 @@ class CloudCodec(SensorCodec):
         self.channels = (Channel(self._topic, _CLOUD),)
         self.mounts = (FrameMount.on_base(self._frame, conf.mount_b),)
         self.sources = {f"{name}_{output}": (Source(self._topic, (_CLOUD,)),) for output in conf.outputs}
-        highest, lowest, fov = np.deg2rad(
-            [conf.highest_elevation_deg, conf.lowest_elevation_deg, conf.fov_deg]
-        )
-        elevation = np.linspace(highest, lowest, conf.n_rings)
-        self._directions = fan(bearings(fov, conf.n_beams), elevation).astype(np.float32)
+        self._directions = conf.directions().astype(np.float32)
         self._others = [output for output in conf.outputs if output != _RANGE]
         kinds: dict[str, str] = {
             output: "u1" if output == "segmentation" else "f4" for output in self._others
