@@ -3,6 +3,7 @@
 import csv
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -81,11 +82,7 @@ def _drive(conf: DriveConf) -> None:
     from dune_rl.learning.process import stop_on_signals
     from dune_rl.ros.dds import Participant
 
-    console = command_line.make_console()
-
-    def report(line: str) -> None:
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
-
+    report = partial(command_line.print_line, command_line.make_console())
     policy = load_driven_policy(conf.checkpoint, conf.policy, conf.robot)
     participant = Participant(conf)
     try:

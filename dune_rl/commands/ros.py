@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from dune_rl.commands import command_line
@@ -29,10 +30,7 @@ def run(words: Sequence[str]) -> None:
     from dune_rl.ros.live_scene import LiveScene
 
     console = command_line.make_console()
-
-    def report(line: str) -> None:
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
-
+    report = partial(command_line.print_line, console)
     participant = Participant(conf)
     simulation = None
     try:

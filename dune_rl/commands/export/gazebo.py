@@ -53,7 +53,7 @@ def export_scene(conf: GazeboConf, *, with_world: bool, with_robots: bool) -> No
         simulation.close()
     console = command_line.make_console()
     for line in lines:
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
+        command_line.print_line(console, line)
 
 
 def _manifest(conf: GazeboConf) -> dict[str, object]:
