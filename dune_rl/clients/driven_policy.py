@@ -19,10 +19,11 @@ from dune_rl.learning.networks.policy import BEGINS
 from dune_rl.learning.onnx_policy import OnnxPolicy
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.saved_policies import read_saved_policy, saved_entry
-from dune_rl.ros.codecs import ArrayCodec, SensorCodec
-from dune_rl.ros.motion import GoalCodec
+from dune_rl.ros.codecs.choice import make_codec
+from dune_rl.ros.codecs.codec import ArrayCodec, SensorCodec
+from dune_rl.ros.codecs.motion import GoalCodec
+from dune_rl.ros.past_scans import PastSource
 from dune_rl.ros.readings import ReadingSource
-from dune_rl.ros.sensor_topics import make_codec
 from dune_rl.sensors.lidar import LidarConf
 from dune_rl.sensors.past_scan import LidarPastConf
 from dune_rl.sensors.sensor import Reading
@@ -123,14 +124,12 @@ def _of_checkpoint(path: Path, robot: str | None) -> DrivenPolicy:
     return DrivenPolicy(act, PolicyInterface.of_run(spec, group, saved.config), file)
 
 
-def _past_of(
-    conf: SensorSettings | None, settings: Mapping[str, SensorSettings]
-) -> tuple[str, LidarConf, float] | None:
-    """The LiDAR, its settings and the age [s] of a past scan that can be found from the LiDAR's scans."""
+def _past_of(conf: SensorSettings | None, settings: Mapping[str, SensorSettings]) -> PastSource | None:
+    """What a past scan of the settings `conf` follows from, where a LiDAR's scans are enough for it."""
     if not isinstance(conf, LidarPastConf):
         return None
     lidar = settings.get(conf.lidar)
     # Rings are seen in the level plane, of which messages tell nothing.
     if not isinstance(lidar, LidarConf) or lidar.rings_deg:
         return None
-    return conf.lidar, lidar, conf.past_s
+    return PastSource(conf.lidar, lidar, conf.past_s)

@@ -13,12 +13,12 @@ from dune_rl.geometry.arrays import Array
 from dune_rl.ros.dds import Participant
 from dune_rl.ros.live_readings import LiveReadings, StoppedWaitingError
 from dune_rl.ros.settings import DrivingConf
+from dune_rl.ros.times import NS_PER_S
 from dune_rl.ros.transforms import BASE
 from dune_rl.ros.velocity_commands import TWIST, TWIST_STAMPED, twist_of_action
 from dune_rl.sensors.own_motion import GoalConf
 from dune_rl.sensors.sensor import Reading
 
-_NS = 1_000_000_000
 # How long it waits for a message at most, and at the end until its last command has arrived [s].
 _POLL_S, _FLUSH_S = 0.05, 0.5
 
@@ -103,7 +103,8 @@ class LiveDriver:
                 "as /cmd_vel needs"
             )
         self._policy, self._participant, self._conf, self._report = policy, participant, conf, report
-        self._vehicle, self._period_ns = interface.vehicle, round((period_s or interface.decision_s) * _NS)
+        self._vehicle = interface.vehicle
+        self._period_ns = round((period_s or interface.decision_s) * NS_PER_S)
         self._low = np.array([each.low for each in interface.action])
         self._high = np.array([each.high for each in interface.action])
         parts = policy.sources()
@@ -151,13 +152,15 @@ class LiveDriver:
                 if self._decided_ns is not None and now_ns < self._decided_ns:
                     # The clock has begun anew.
                     due_ns, self._decided_ns, self._begins = None, None, True
-                if due_ns is not None and now_ns < due_ns and not self._readings.clock_stands:
+                is_early = due_ns is not None and now_ns < due_ns
+                if is_early and not self._readings.clock_stands:
                     self._watch()
                     continue
-                # A decision that is late by a period begins the count anew.
-                if due_ns is None or due_ns + self._period_ns <= now_ns:
-                    due_ns = now_ns
-                due_ns += self._period_ns
+                if not is_early:
+                    # A decision that is late by a period begins the count anew.
+                    if due_ns is None or due_ns + self._period_ns <= now_ns:
+                        due_ns = now_ns
+                    due_ns += self._period_ns
                 self._decide(now_ns)
         finally:
             self._stand()
@@ -206,8 +209,8 @@ class LiveDriver:
             return
         assert action is not None
         self._begins = False
-        self._command(np.clip(action, self._low, self._high), min(passed_ns, 2 * self._period_ns) / _NS)
-        self.summary.latencies_s.append((time.time_ns() - self._readings.newest_sent_ns) / _NS)
+        self._command(np.clip(action, self._low, self._high), min(passed_ns, 2 * self._period_ns) / NS_PER_S)
+        self.summary.latencies_s.append((time.time_ns() - self._readings.newest_sent_ns) / NS_PER_S)
 
     def _stop_for(self, fault: str) -> None:
         self._stand()
@@ -239,7 +242,7 @@ class LiveDriver:
     def _command(self, action: Array, passed_s: float) -> None:
         speed, turn = self._limits.limited(*twist_of_action(self._vehicle, action), passed_s)
         if self._conf.dry_run:
-            time_s = self._readings.now_ns / _NS
+            time_s = self._readings.now_ns / NS_PER_S
             self._report(f"{time_s:.2f} s: {speed:.3f} m/s, {turn:.3f} rad/s")
         else:
             self._write(speed, turn)
@@ -252,7 +255,7 @@ class LiveDriver:
 
     def _write(self, speed_mps: float, yaw_rate_radps: float) -> None:
         types, now_ns = self._participant.types, self._readings.now_ns
-        message = types.twist(np.array([speed_mps, 0.0, 0.0]), np.array([0.0, 0.0, yaw_rate_radps]))
+        message = types.planar_twist(speed_mps, yaw_rate_radps)
         if self._conf.stamped:
             header = types.header(now_ns, self._frame)
             message = types.make("geometry_msgs/TwistStamped", header=header, twist=message)

@@ -183,7 +183,12 @@ def print_world_notes(console: "Console", conf: "EnvConf", *, fixes_starts: bool
     from dune_rl.config.build import describe_world
 
     for line in describe_world(conf, fixes_starts=fixes_starts):
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
+        print_line(console, line)
+
+
+def print_line(console: "Console", line: str) -> None:
+    """Print a line as it is: without colours, markup (names of files may look like it) or line breaks."""
+    console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
 def print_error(message: str) -> None:

@@ -3,6 +3,7 @@
 import csv
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -12,7 +13,7 @@ from dune_rl.commands import command_line
 from dune_rl.config.checks import validate
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.files import write_csv
-from dune_rl.ros.dds_types import require_cyclonedds
+from dune_rl.ros.dds_types import require_live_topics
 from dune_rl.ros.library import require_rosbags
 from dune_rl.ros.settings import DrivingConf, NetworkConf
 
@@ -76,19 +77,14 @@ def run(words: Sequence[str]) -> None:
 
 
 def _drive(conf: DriveConf) -> None:
-    require_cyclonedds()
-    require_rosbags("live topics")
+    require_live_topics()
     # Only now, since loading PyTorch takes seconds.
     from dune_rl.clients.driven_policy import load_driven_policy
     from dune_rl.clients.live_driver import LiveDriver
     from dune_rl.learning.process import stop_on_signals
     from dune_rl.ros.dds import Participant
 
-    console = command_line.make_console()
-
-    def report(line: str) -> None:
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
-
+    report = partial(command_line.print_line, command_line.make_console())
     policy = load_driven_policy(conf.checkpoint, conf.policy, conf.robot)
     participant = Participant(conf)
     try:

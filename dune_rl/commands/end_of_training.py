@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
+from dune_rl.commands import command_line
 from dune_rl.config.commands import ViewConf
 from dune_rl.config.schema import Conf, EnvConf
 from dune_rl.robots.settings import RobotSettings
@@ -83,4 +84,4 @@ def show_end(console: Console, conf: Conf, result: "TrainingResult") -> None:
             f"  python -m dune_rl.evaluate cross_play=true checkpoint={result.run_dir} "
             f"'populations=[walkers,{result.run_dir}]' episodes=100 seed=1"
         )
-    console.print("\n".join(lines), highlight=False, markup=False, soft_wrap=True)
+    command_line.print_line(console, "\n".join(lines))

@@ -77,7 +77,7 @@ def _rewrite(file: Path, console: "Console") -> None:
     rewritten = rewrite_file(file)
     _print_notes(rewritten.skipped, rewritten.notes)
     tables = "1 table" if rewritten.blocks == 1 else f"{rewritten.blocks} tables"
-    _print(console, f"{file}: {tables} written")
+    command_line.print_line(console, f"{file}: {tables} written")
 
 
 def make_report(folders: Sequence[Path], conf: ReportConf, console: "Console") -> Path:
@@ -108,14 +108,10 @@ def make_report(folders: Sequence[Path], conf: ReportConf, console: "Console") -
             progress.begin("statistics")
             sections = lay_out(collect_findings(inputs), conf.failures, progress)
             write_report(folder, title, describe_inputs(inputs), sections, date, progress)
-    _print(console, f"Report: {out / PAGE}")
-    _print(console, f"{len(figures_of(sections))} figures: {out / FIGURES}")
-    _print(console, f"{len(tables_of(sections))} tables: {out / TABLES}")
+    command_line.print_line(console, f"Report: {out / PAGE}")
+    command_line.print_line(console, f"{len(figures_of(sections))} figures: {out / FIGURES}")
+    command_line.print_line(console, f"{len(tables_of(sections))} tables: {out / TABLES}")
     return out
-
-
-def _print(console: "Console", line: str) -> None:
-    console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
 def _print_notes(skipped: Sequence["Note"], notes: Sequence["Note"]) -> None:
@@ -132,7 +128,7 @@ def _say_when_cut_off(console: "Console", state: str) -> Iterator[None]:
     try:
         yield
     except (KeyboardInterrupt, command_line.Terminated):
-        _print(console, f"Cut off: {state}")
+        command_line.print_line(console, f"Cut off: {state}")
         raise
 
 

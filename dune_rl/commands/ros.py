@@ -2,15 +2,15 @@
 
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from dune_rl.commands import command_line
 from dune_rl.config.commands import RosConf
 from dune_rl.config.compose import compose, override_value
+from dune_rl.config.endless import without_ends
 from dune_rl.learning.checkpoint import read_policy_file
-from dune_rl.ros.dds_types import require_cyclonedds
-from dune_rl.ros.library import require_rosbags
-from dune_rl.tasks.task import TaskConf
+from dune_rl.ros.dds_types import require_live_topics
 
 
 def run(words: Sequence[str]) -> None:
@@ -22,8 +22,7 @@ def run(words: Sequence[str]) -> None:
     if parsed.cfg:
         command_line.print_settings(conf)
         return
-    require_cyclonedds()
-    require_rosbags("live topics")
+    require_live_topics()
     # Only now, since loading the physics engine takes seconds.
     from dune_rl.config.build import make_simulation
     from dune_rl.learning.process import stop_on_signals
@@ -31,10 +30,7 @@ def run(words: Sequence[str]) -> None:
     from dune_rl.ros.live_scene import LiveScene
 
     console = command_line.make_console()
-
-    def report(line: str) -> None:
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
-
+    report = partial(command_line.print_line, console)
     participant = Participant(conf)
     simulation = None
     try:
@@ -53,19 +49,3 @@ def run(words: Sequence[str]) -> None:
         if simulation is not None:
             simulation.close()
         participant.close()
-
-
-def without_ends(conf: RosConf) -> RosConf:
-    """`conf` with tasks in which no episode ends and nothing is rewarded; goals are renewed as before."""
-    agents = {
-        group.name: conf.agents[group.name].model_copy(update={"task": _without_ends(group.task)})
-        for group in conf.groups
-    }
-    return conf.model_copy(update={"agents": agents})
-
-
-def _without_ends(task: TaskConf | None) -> TaskConf | None:
-    if task is None:
-        return None
-    renewing = {name: term for name, term in task.terminations.items() if term.renew}
-    return task.model_copy(update={"rewards": {}, "terminations": renewing})

@@ -241,7 +241,7 @@ def train(conf: Conf, resume: Path | None = None, words: Sequence[str] = ()) -> 
         owner = describe_owner(error.location, error.group, conf.path_of(error.group))
         what_differs = str(error).splitlines()[0]
         raise CheckpointError(f"{what_differs}\n{owner}" if owner else str(error)) from None
-    console.print(f"Run folder: {run_dir}", highlight=False, soft_wrap=True)
+    command_line.print_line(console, f"Run folder: {run_dir}")
     command_line.print_world_notes(console, conf)
     if trainer.warms_up_throughout:
         command_line.print_error(

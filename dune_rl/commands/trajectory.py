@@ -33,13 +33,10 @@ def run(words: Sequence[str]) -> None:
         # Without the drawing library's version, the file stays the same when that changes.
         figure.savefig(temporary, format="png", dpi=_DPI, metadata={"Software": None})
     length_m = float(np.linalg.norm(np.diff(actor.poses[:, :3], axis=0), axis=1).sum())
-    console = command_line.make_console()
-    console.print(
+    command_line.print_line(
+        command_line.make_console(),
         f"{out}: {len(actor.times):,} poses, {length_m:.1f} m in {actor.duration_s:.1f} s, "
         f"{'repeated' if actor.loop else 'once'}\n{picture}: the way on the map",
-        highlight=False,
-        markup=False,
-        soft_wrap=True,
     )
 
 

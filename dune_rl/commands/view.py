@@ -118,10 +118,10 @@ def _view(conf: ViewConf, plan: "EpisodePlan | None") -> None:
         folder.mkdir(parents=True, exist_ok=True)
         command_line.print_world_notes(console, conf)
         if conf.view == "orbit":
-            _print_note(console, "Drawing the world.")
+            command_line.print_line(console, "Drawing the world.")
             _print_path(console, write_orbit(episode, folder / f"{_stem(conf)}_orbit.png"))
         if conf.view in ("sheet", "both"):
-            _print_note(console, f"Drawing all readings, {conf.after_s:g} s into the episode.")
+            command_line.print_line(console, f"Drawing all readings, {conf.after_s:g} s into the episode.")
             _print_path(console, write_sheet(episode, folder / f"{_stem(conf)}_sheet.png"))
         if conf.view in ("video", "both"):
             path = folder / f"{_film_stem(conf)}.mp4"
@@ -130,7 +130,7 @@ def _view(conf: ViewConf, plan: "EpisodePlan | None") -> None:
             from dune_rl.reporting.views.scene_files import SCENE_WRITERS
 
             suffix, write_scene = SCENE_WRITERS[conf.view]
-            _print_note(console, f"Recording an episode of at most {conf.longest_s:g} s.")
+            command_line.print_line(console, f"Recording an episode of at most {conf.longest_s:g} s.")
             _print_path(console, write_scene(episode, folder / f"{_film_stem(conf)}.{suffix}"))
     finally:
         episode.close()
@@ -143,15 +143,11 @@ def _watch(episode: "EpisodeView", console: Console) -> None:
     session = LiveSession(episode)
     try:
         command_line.print_world_notes(console, episode.conf)
-        _print_note(console, f"Open {session.url} in a browser. Ctrl-C ends.")
+        command_line.print_line(console, f"Open {session.url} in a browser. Ctrl-C ends.")
         session.run()
     finally:
         session.close()
 
 
-def _print_note(console: Console, text: str) -> None:
-    console.print(text, highlight=False)
-
-
 def _print_path(console: Console, path: Path) -> None:
-    console.print(f"Written: {path}", highlight=False, soft_wrap=True)
+    command_line.print_line(console, f"Written: {path}")

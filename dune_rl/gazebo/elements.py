@@ -34,6 +34,11 @@ def add_pose(parent: Element, position: Iterable[float], rotation: Array | None 
     add(parent, "pose", words([*position, *np.where(np.abs(angles) < 1e-12, 0.0, angles)]))
 
 
+def make_system(name: str, library: str) -> Element:
+    """The <plugin> of a system of Gazebo, such as `Physics` of the library `physics`."""
+    return Element("plugin", filename=f"gz-sim-{library}-system", name=f"gz::sim::systems::{name}")
+
+
 def make_sdf() -> Element:
     """The root element of an SDF file."""
     return Element("sdf", version=SDF_VERSION)

@@ -38,28 +38,24 @@ class MeshFolder:
         (self._folder / f"{stem}.obj").write_text(_obj_text(mesh, f"{stem}.mtl", names), encoding="utf-8")
         return f"{FOLDER}/{stem}.obj"
 
-    def write_text(self, name: str, suffix: str, text: str) -> str:
-        """Write a text file called `name` with an ending; returns its path."""
+    def write_file(self, name: str, suffix: str, content: bytes) -> str:
+        """Write a file called `name`, or nearly so, with an ending; returns its path."""
         file = f"{self._names.make(name, suffix)}{suffix}"
-        (self._folder / file).write_text(text, encoding="utf-8")
+        (self._folder / file).write_bytes(content)
         return f"{FOLDER}/{file}"
 
     def write_hull(self, name: str, points: Array) -> str:
         """Write the convex hull of points (P, 3) as an STL file; returns its path."""
-        file = f"{self._names.make(name, '.stl')}.stl"
-        (self._folder / file).write_bytes(
-            trimesh.Trimesh(points, process=False).convex_hull.export(file_type="stl")
-        )
-        return f"{FOLDER}/{file}"
+        hull = trimesh.Trimesh(points, process=False).convex_hull
+        return self.write_file(name, ".stl", hull.export(file_type="stl"))
 
     def write_picture(self, name: str, picture: Bytes) -> str:
         """Write a PNG of bytes (rows, columns, 3), unless it is there already; returns its name."""
         if id(picture) not in self._pictures:
-            file = f"{self._names.make(name, '.png')}.png"
             data = io.BytesIO()
             Image.fromarray(picture).save(data, "png")
-            (self._folder / file).write_bytes(data.getvalue())
-            self._pictures[id(picture)] = picture, file
+            path = self.write_file(name, ".png", data.getvalue())
+            self._pictures[id(picture)] = picture, path.removeprefix(f"{FOLDER}/")
         return self._pictures[id(picture)][1]
 
     def _material(self, name: str, stem: str, part: PaintedPart) -> str:

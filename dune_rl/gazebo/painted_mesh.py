@@ -1,6 +1,5 @@
 """Meshes with colours and pictures, in parts of one material each, as files of meshes have them."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,9 +53,7 @@ def paint_mesh(
         for number, picture in enumerate(texture.pictures):
             chosen = texture.picture == number
             if chosen.any():
-                corners = vertices[faces[chosen]]
-                corners = np.concatenate([corners, np.ones((*corners.shape[:2], 1))], axis=2)
-                uv = np.einsum("fux,fcx->fcu", texture.maps[chosen], corners)
+                uv = texture.uv(chosen, vertices[faces[chosen]])
                 parts.append(PaintedPart(faces[chosen], picture=picture, uv=uv))
                 plain &= ~chosen
     if plain.any():
@@ -105,10 +102,9 @@ def face_normals(mesh: PaintedMesh, part: PaintedPart) -> Array:
     return unit
 
 
-def corner_rows(mesh: PaintedMesh, part: PaintedPart) -> Iterator[Array]:
-    """Positions, normals and, with a picture, uv of the corners of a part's faces, each (3 F, 2 or 3)."""
+def corner_rows(mesh: PaintedMesh, part: PaintedPart) -> tuple[Array, Array, Array]:
+    """Positions (3 F, 3), normals (3 F, 3) and uv (3 F, 2), 0 without a picture, of the corners of a part."""
     index = part.faces.reshape(-1)
-    yield mesh.vertices[index]
-    yield np.repeat(face_normals(mesh, part), 3, axis=0) if mesh.normals is None else mesh.normals[index]
-    if part.uv is not None:
-        yield part.uv.reshape(-1, 2)
+    normals = np.repeat(face_normals(mesh, part), 3, axis=0) if mesh.normals is None else mesh.normals[index]
+    uv = np.zeros((len(index), 2)) if part.uv is None else part.uv.reshape(-1, 2)
+    return mesh.vertices[index], normals, uv

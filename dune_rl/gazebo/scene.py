@@ -16,7 +16,7 @@ from dune_rl.gazebo.elements import UniqueNames, add, add_pose, document_text, m
 from dune_rl.gazebo.episode import RecordedActor, record_actors
 from dune_rl.gazebo.mesh_folder import MeshFolder
 from dune_rl.gazebo.painted_mesh import paint_scenery
-from dune_rl.gazebo.robot import WrittenRobot, write_robot
+from dune_rl.gazebo.robot.files import WrittenRobot, write_robot
 from dune_rl.gazebo.skin import write_skin
 from dune_rl.gazebo.world import make_world
 from dune_rl.robots.urdf.reader import read_urdf

@@ -10,7 +10,7 @@ import numpy as np
 
 from dune_rl.gazebo.elements import add, document_text, words
 from dune_rl.gazebo.mesh_folder import MeshFolder
-from dune_rl.gazebo.painted_mesh import PaintedMesh, PaintedPart, corner_rows
+from dune_rl.gazebo.painted_mesh import PaintedMesh, corner_rows
 from dune_rl.geometry.arrays import Array
 
 _NAMESPACE = "http://www.collada.org/2005/11/COLLADASchema"
@@ -37,7 +37,7 @@ def write_skin(folder: MeshFolder, name: str, mesh: PaintedMesh) -> str:
     _add_skin(root, count)
     _add_animation(root)
     _add_scene(root, mesh)
-    return folder.write_text(name, ".dae", document_text(root))
+    return folder.write_file(name, ".dae", document_text(root).encode())
 
 
 def _add_materials(root: Element, mesh: PaintedMesh, pictures: list[str | None]) -> None:
@@ -65,12 +65,11 @@ def _add_geometry(root: Element, mesh: PaintedMesh) -> int:
     """Add the mesh with three vertices for each face; returns the number of vertices."""
     geometry = add(add(root, "library_geometries"), "geometry", id="shape", name="shape")
     holder = add(geometry, "mesh")
-    rows = [list(corner_rows(mesh, part)) for part in mesh.parts]
-    positions, normals = (np.concatenate([part[k] for part in rows]) for k in (0, 1))
-    uv = [part[2] if len(part) > 2 else np.zeros((len(part[0]), 2)) for part in rows]
+    rows = [corner_rows(mesh, part) for part in mesh.parts]
+    positions, normals, uv = (np.concatenate(column) for column in zip(*rows, strict=True))
     _add_floats(holder, "positions", positions, ("X", "Y", "Z"))
     _add_floats(holder, "normals", normals, ("X", "Y", "Z"))
-    _add_floats(holder, "map", np.concatenate(uv), ("S", "T"))
+    _add_floats(holder, "map", uv, ("S", "T"))
     add(add(holder, "vertices", id="vertices"), "input", semantic="POSITION", source="#positions")
     start = 0
     for number, part in enumerate(mesh.parts):
@@ -90,7 +89,7 @@ def _add_skin(root: Element, count: int) -> None:
     """Add the skin: all vertices follow the bone."""
     skin = add(add(add(root, "library_controllers"), "controller", id="skin"), "skin", source="#shape")
     add(skin, "bind_shape_matrix", _UNIT)
-    _add_names(skin, "joints", "Name_array", _BONE, "JOINT", "name")
+    _add_source(skin, "joints", "Name_array", _BONE, (1, 1), ("JOINT",), "name")
     _add_floats(skin, "bind_poses", np.eye(4).reshape(1, 16), ("TRANSFORM",), "float4x4")
     _add_floats(skin, "weights", np.ones((1, 1)), ("WEIGHT",))
     joints = add(skin, "joints")
@@ -107,7 +106,9 @@ def _add_animation(root: Element) -> None:
     animation = add(add(root, "library_animations"), "animation", id="rest", name="rest")
     _add_floats(animation, "times", np.array([[0.0], [_LENGTH_S]]), ("TIME",))
     _add_floats(animation, "poses", np.tile(np.eye(4).reshape(1, 16), (2, 1)), ("TRANSFORM",), "float4x4")
-    _add_names(animation, "interpolations", "Name_array", "LINEAR LINEAR", "INTERPOLATION", "name")
+    _add_source(
+        animation, "interpolations", "Name_array", "LINEAR LINEAR", (2, 1), ("INTERPOLATION",), "name"
+    )
     sampler = add(animation, "sampler", id="sampler")
     for semantic, source in (("INPUT", "times"), ("OUTPUT", "poses"), ("INTERPOLATION", "interpolations")):
         add(sampler, "input", semantic=semantic, source=f"#{source}")
@@ -126,32 +127,25 @@ def _add_scene(root: Element, mesh: PaintedMesh) -> None:
     for number, part in enumerate(mesh.parts):
         symbol = f"material_{number}"
         used = add(bound, "instance_material", symbol=symbol, target=f"#{symbol}")
-        _bind_picture(used, part)
+        if part.picture is not None:
+            add(used, "bind_vertex_input", semantic="UV", input_semantic="TEXCOORD", input_set="0")
     add(add(root, "scene"), "instance_visual_scene", url="#scene")
-
-
-def _bind_picture(material: Element, part: PaintedPart) -> None:
-    if part.picture is not None:
-        add(material, "bind_vertex_input", semantic="UV", input_semantic="TEXCOORD", input_set="0")
 
 
 def _add_floats(
     parent: Element, name: str, values: Array, params: Iterable[str], kind: str = "float"
 ) -> None:
     """Add a <source> of `values` (N, n), each row of which has the named `params` of type `kind`."""
-    source = add(parent, "source", id=name)
-    add(source, "float_array", words(values.reshape(-1)), id=f"{name}_array", count=str(values.size))
-    size = {"count": str(len(values)), "stride": str(values.shape[1])}
+    _add_source(parent, name, "float_array", words(values.reshape(-1)), values.shape, params, kind)
+
+
+def _add_source(
+    parent: Element, name: str, tag: str, text: str, shape: tuple[int, ...], params: Iterable[str], kind: str
+) -> None:
+    """Add a <source>: an array `tag` of `shape` (N, n), each row with the `params` of type `kind`."""
+    source, (rows, columns) = add(parent, "source", id=name), shape
+    add(source, tag, text, id=f"{name}_array", count=str(rows * columns))
+    size = {"count": str(rows), "stride": str(columns)}
     access = add(add(source, "technique_common"), "accessor", source=f"#{name}_array", **size)
     for param in params:
         add(access, "param", name=param, type=kind)
-
-
-def _add_names(parent: Element, name: str, tag: str, values: str, param: str, kind: str) -> None:
-    source = add(parent, "source", id=name)
-    count = str(len(values.split()))
-    add(source, tag, values, id=f"{name}_array", count=count)
-    access = add(
-        add(source, "technique_common"), "accessor", source=f"#{name}_array", count=count, stride="1"
-    )
-    add(access, "param", name=param, type=kind)

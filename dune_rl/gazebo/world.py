@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.core.constants import GRAVITY_MPS2
-from dune_rl.gazebo.elements import UniqueNames, add, add_pose, words
+from dune_rl.gazebo.elements import UniqueNames, add, add_pose, make_system, words
 from dune_rl.gazebo.mesh_folder import MeshFolder
 from dune_rl.gazebo.painted_mesh import PaintedMesh, PaintedPart, paint_prop
 from dune_rl.geometry.arrays import Array
@@ -56,9 +56,8 @@ def make_world(
     add(engine, "real_time_factor", 1)
     add(engine, "real_time_update_rate", physics.physics_hz)
     for system, library in _SYSTEMS:
-        plugin = add(
-            element, "plugin", filename=f"gz-sim-{library}-system", name=f"gz::sim::systems::{system}"
-        )
+        plugin = make_system(system, library)
+        element.append(plugin)
         if system == "Sensors":
             add(plugin, "render_engine", "ogre2")
     add(element, "gravity", words([0.0, 0.0, -GRAVITY_MPS2]))
@@ -75,9 +74,7 @@ def make_world(
 def _add_light(world: Element, conf: LightConf) -> None:
     light = Light.from_conf(conf)
     scene = add(world, "scene")
-    # As `Light.shade` lights a surface that faces up.
-    ambient = np.clip(0.55 * light.zenith + 0.25 * light.horizon, 0.0, 1.0)
-    add(scene, "ambient", words([*ambient, 1.0]))
+    add(scene, "ambient", words([*np.clip(light.from_sky, 0.0, 1.0), 1.0]))
     add(scene, "background", words([*linear_to_srgb(light.horizon), 1.0]))
     add(scene, "sky")
     add(scene, "shadows", conf.shadows)
@@ -189,15 +186,19 @@ def add_surface(
     It collides with what has the same `bit`, None: with all.
     """
     surface = add(collision, "surface")
-    model = add(add(surface, "friction"), "ode")
-    add(model, "mu", words([friction if along_axle is None else along_axle]))
-    add(model, "mu2", words([friction]))
-    if along_axle is not None:
-        add(model, "fdir1", "0 1 0")
+    add_friction(add(add(surface, "friction"), "ode"), "mu", friction, along_axle)
     if bit is not None:
         add(add(surface, "contact"), "collide_bitmask", bit)
     if restitution:
         add(add(surface, "bounce"), "restitution_coefficient", words([restitution]))
+
+
+def add_friction(parent: Element, first: str, friction: float, along_axle: float | None) -> None:
+    """Add the coefficients of a wheel, `first` along its axle and `mu2` ahead, or of what has one alone."""
+    add(parent, first, words([friction if along_axle is None else along_axle]))
+    add(parent, "mu2", words([friction]))
+    if along_axle is not None:
+        add(parent, "fdir1", "0 1 0")
 
 
 def add_material(visual: Element, colour: tuple[float, float, float]) -> None:

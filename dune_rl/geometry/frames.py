@@ -1,5 +1,6 @@
 """Rotations and angles of batches. Quaternions are xyzw; suffixes name frames: `_w` world, `_b` body."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,14 @@ def rotation_matrices(quaternion: Array) -> Array:
     quaternion = np.ascontiguousarray(quaternion, np.float64)
     found = np.empty((*quaternion.shape[:-1], 3, 3))
     rotate(quaternion.reshape(-1, 4), found.reshape(-1, 3, 3))
+    return found
+
+
+def quaternions(rotation: Array) -> Array:
+    """Unit quaternions xyzw (..., 4), with w of at least 0, of rotations (..., 3, 3)."""
+    rotation = np.ascontiguousarray(rotation, np.float64)
+    found = np.empty((*rotation.shape[:-2], 4))
+    find_quaternions(rotation.reshape(-1, 3, 3), found.reshape(-1, 4))
     return found
 
 
@@ -151,6 +160,26 @@ def _rotate(quaternion: Any, found: Any) -> None:
 
 
 @compile_function
+def _find_quaternion(rotation: Any, found: Any) -> None:
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rotation
+    # The products of all pairs of its numbers, times four; from the row of the largest number, as in
+    # "Quaternion from rotation matrix", Journal of Guidance and Control 1 (1978).
+    rows = (
+        (1.0 + xx - yy - zz, xy + yx, xz + zx, zy - yz),
+        (xy + yx, 1.0 - xx + yy - zz, yz + zy, xz - zx),
+        (xz + zx, yz + zy, 1.0 - xx - yy + zz, yx - xy),
+        (zy - yz, xz - zx, yx - xy, 1.0 + xx + yy + zz),
+    )
+    largest = 0
+    for k in range(1, 4):
+        if rows[k][k] > rows[largest][largest]:
+            largest = k
+    scale = math.copysign(0.5 / math.sqrt(rows[largest][largest]), rows[largest][3])
+    for k in range(4):
+        found[k] = scale * rows[largest][k]
+
+
+@compile_function
 def _find_angles(rotation: Any, found: Any) -> None:
     found[0] = np.arctan2(rotation[2, 1], rotation[2, 2])
     found[1] = -np.arcsin(min(max(rotation[2, 0], -1.0), 1.0))
@@ -162,6 +191,13 @@ def rotate(quaternions: Any, found: Any) -> None:
     """Body-to-world rotations `found` (N, 3, 3) of unit quaternions (N, 4)."""
     for row in range(len(quaternions)):
         _rotate(quaternions[row], found[row])
+
+
+@compile_function
+def find_quaternions(rotations: Any, found: Any) -> None:
+    """Unit quaternions `found` (N, 4) of rotations (N, 3, 3)."""
+    for row in range(len(rotations)):
+        _find_quaternion(rotations[row], found[row])
 
 
 @compile_function

@@ -65,9 +65,18 @@ class Light:
         """
         facing = np.maximum(normals @ self.to_sun, 0.0) * sunlit
         upward = ((1.0 + normals[..., 2]) / 2 * sky_share)[..., None]
-        sky = 0.55 * self.zenith + 0.25 * self.horizon
-        bounce = 0.10 * self.sun * (1.0 - upward) * sky_share[..., None]
-        return albedo * (facing[..., None] * self.sun + upward * sky + bounce)
+        bounce = self.from_ground * (1.0 - upward) * sky_share[..., None]
+        return albedo * (facing[..., None] * self.sun + upward * self.from_sky + bounce)
+
+    @property
+    def from_sky(self) -> Floats:
+        """Linear RGB (3,) of the sky's light on a surface that faces up."""
+        return 0.55 * self.zenith + 0.25 * self.horizon
+
+    @property
+    def from_ground(self) -> Floats:
+        """Linear RGB (3,) of the ground's light on a surface that faces down."""
+        return 0.10 * self.sun
 
     def sky(self, up: Floats) -> Floats:
         """Linear RGB (..., 3) of the sky where the direction's z is `up` (...), in [-1, 1]."""

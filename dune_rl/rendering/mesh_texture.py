@@ -51,6 +51,12 @@ class MeshTexture:
         maps[~valid] = 0.0
         return cls((picture,), np.where(valid, 0, -1).astype(np.int32), maps)
 
+    def uv(self, faces: NDArray[Any], points: Array) -> Array:
+        """Coordinates (F, K, 2) of `points` (F, K, 3) on some faces, given by indices or a mask."""
+        maps = self.maps[faces]
+        uv: Array = np.einsum("fux,fkx->fku", maps[..., :3], points) + maps[:, None, :, 3]
+        return uv
+
     def select_faces(self, faces: NDArray[Any]) -> "MeshTexture":
         """The texture of some faces, given by indices or a mask."""
         return MeshTexture(self.pictures, self.picture[faces], self.maps[faces])

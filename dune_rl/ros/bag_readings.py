@@ -10,9 +10,9 @@ from dune_rl.ros.bag import read_told
 from dune_rl.ros.library import message_types, require_rosbags
 from dune_rl.ros.readings import POSE, TF, TF_STATIC, ReadingSource, RobotReadings
 from dune_rl.ros.settings import MOST_AGE_S
+from dune_rl.ros.times import NS_PER_S
 from dune_rl.sensors.sensor import Reading
 
-_NS = 1_000_000_000
 # A message that is logged so much later than a decision still counts: times of bags are rounded.
 _TOLERANCE_NS = 1_000
 _METADATA = "metadata.yaml"
@@ -61,7 +61,7 @@ class BagReadings:
         for topic, time_ns, message in self._messages({*readings.topics.values(), TF}):
             readings.settle(time_ns)
             until_ns = min(last_ns, time_ns - _TOLERANCE_NS)
-            while (due_ns := first_ns + round(number * period_s * _NS)) < until_ns:
+            while (due_ns := first_ns + round(number * period_s * NS_PER_S)) < until_ns:
                 self._note_silences(due_ns)
                 yield due_ns, readings.observation(due_ns)
                 number += 1
@@ -82,10 +82,10 @@ class BagReadings:
             continuous.append(TF)
         silences = {topic: self._silences[topic] for topic in continuous if topic in self._silences}
         return [
-            f"{topic}: no message for {silent_ns / _NS:.2f} s from {since_ns / _NS:.2f} s on; the actions are of"
-            " its last one, and live the robot would stand"
+            f"{topic}: no message for {silent_ns / NS_PER_S:.2f} s from {since_ns / NS_PER_S:.2f} s on; "
+            "the actions are of its last one, and live the robot would stand"
             for topic, (silent_ns, since_ns) in silences.items()
-            if silent_ns > MOST_AGE_S * _NS
+            if silent_ns > MOST_AGE_S * NS_PER_S
         ]
 
     def misplaced(self) -> list[str]:

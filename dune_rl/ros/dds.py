@@ -7,11 +7,11 @@ from typing import Any
 from weakref import WeakValueDictionary
 
 from dune_rl.core.errors import ConfigError
-from dune_rl.ros.dds_types import dds_topic, message_struct, require_cyclonedds, ros_topic, ros_type
-from dune_rl.ros.library import MessageTypes, message_types, require_rosbags
+from dune_rl.ros.dds_types import dds_topic, message_struct, require_live_topics, ros_topic, ros_type
+from dune_rl.ros.library import MessageTypes, message_types
 from dune_rl.ros.settings import MOST_PARTICIPANTS, NetworkConf
+from dune_rl.ros.times import NS_PER_S
 
-_NS = 1_000_000_000
 # A writer waits so long for readers that are behind; then the message is left out.
 _WAIT_NS = 100_000_000
 # Messages of a topic that are kept, as by default in ROS 2, and of one that is read: more than arrive between
@@ -70,8 +70,7 @@ class Participant:
     """
 
     def __init__(self, conf: NetworkConf) -> None:
-        require_cyclonedds()
-        require_rosbags("live topics")
+        require_live_topics()
         from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
         from cyclonedds.core import (
             DDSException,
@@ -122,7 +121,8 @@ class Participant:
         """Let others know that messages of the type `kind` will be published on `topic`."""
         from cyclonedds.pub import DataWriter
 
-        writer = DataWriter(self._participant, self._topic(topic, kind), qos=self._qos(kind, latched=latched))
+        qos = self._qos(kind, 1 if latched else _KEPT, latched=latched)
+        writer = DataWriter(self._participant, self._topic(topic, kind), qos=qos)
         self._writers[topic] = writer
         return writer
 
@@ -132,7 +132,7 @@ class Participant:
 
         for writer in self._writers.values():
             try:
-                writer.wait_for_acks(round(timeout_s * _NS))
+                writer.wait_for_acks(round(timeout_s * NS_PER_S))
             except (DDSException, AttributeError):
                 # Readers that are gone; the library fails to say so.
                 continue
@@ -140,17 +140,16 @@ class Participant:
     # -- from others ------------------------------------------------------------------------------
 
     def subscribe(
-        self, topic: str, kind: str, *, reliable: bool = False, latched: bool = False, own: bool = False
+        self, topic: str, kind: str, *, reliable: bool = False, latched: bool = False
     ) -> Subscription:
-        """Read the messages of the type `kind` on `topic`, by default those of every publisher.
+        """Read the messages of the type `kind` on `topic`, by default those of every other participant.
 
-        With `reliable` or `latched` only those of publishers that offer this. Messages of this participant
-        are read with `own` alone.
+        With `reliable` or `latched` only those of publishers that offer this.
         """
         from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState
         from cyclonedds.sub import DataReader
 
-        qos = self._qos(kind, reliable=reliable, latched=latched, depth=_READ, ignores_own=not own)
+        qos = self._qos(kind, _READ, reliable=reliable, latched=latched)
         reader = DataReader(self._participant, self._topic(topic, kind), qos=qos)
         condition = ReadCondition(reader, ViewState.Any | InstanceState.Any | SampleState.NotRead)
         self._waiting.attach(condition)
@@ -159,7 +158,7 @@ class Participant:
 
     def wait(self, timeout_s: float) -> None:
         """Wait until there is a message of any topic that is read, at most `timeout_s`."""
-        self._waiting.wait(max(round(timeout_s * _NS), 0))
+        self._waiting.wait(max(round(timeout_s * NS_PER_S), 0))
 
     def offers(self) -> dict[str, list[Offer]]:
         """What others publish now, by topic, the types in order of their names."""
@@ -201,31 +200,22 @@ class Participant:
         except DDSException as error:
             raise ConfigError(f"{topic} cannot be a topic of {kind}: {error.msg or error}") from None
 
-    def _qos(
-        self,
-        kind: str,
-        *,
-        reliable: bool = True,
-        latched: bool = False,
-        depth: int = _KEPT,
-        ignores_own: bool = False,
-    ) -> Any:
+    def _qos(self, kind: str, depth: int, *, reliable: bool = True, latched: bool) -> Any:
         from cyclonedds.core import Policy, Qos
 
-        policies = [
+        return Qos(
             Policy.Reliability.Reliable(_WAIT_NS) if reliable else Policy.Reliability.BestEffort,
             Policy.Durability.TransientLocal if latched else Policy.Durability.Volatile,
-            Policy.History.KeepLast(1 if latched and not ignores_own else depth),
+            Policy.History.KeepLast(depth),
             # A publisher that leaves takes no messages with it.
             Policy.WriterDataLifecycle(autodispose=False),
             # CDR of the first version, the encoding of ROS 2.
             Policy.DataRepresentation(use_cdrv0_representation=True),
             # Where later releases of ROS 2 look for the version of the type.
             Policy.Userdata(f"typehash={self.types.store.hash_rihs01(kind)};".encode()),
-        ]
-        if ignores_own:
-            policies.append(Policy.IgnoreLocal.Participant)
-        return Qos(*policies)
+            # What it publishes is not for itself, such as goals.
+            Policy.IgnoreLocal.Participant,
+        )
 
 
 def _check_peers(peers: Iterable[str]) -> None:

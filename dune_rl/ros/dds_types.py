@@ -12,10 +12,11 @@ _NAMES: Mapping[str, str] = {"byte": "uint8", "char": "uint8"}
 _PREFIX = "rt"
 
 
-def require_cyclonedds() -> None:
-    """Raise ConfigError where Cyclone DDS is not installed."""
+def require_live_topics() -> None:
+    """Raise ConfigError where a package for live topics is not installed."""
     try:
         import cyclonedds.idl  # noqa: F401
+        import rosbags.typesys  # noqa: F401
     except ImportError:
         raise ConfigError(
             "live topics need Cyclone DDS and rosbags: pip install 'dune_rl[ros]' (Linux on ARM: build "

@@ -1,12 +1,13 @@
 """What is the same for all agents of a group that are recorded: codecs, timing of sensors, and names."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from dune_rl.env.agent_group import AgentGroup
 from dune_rl.geometry.arrays import Array
-from dune_rl.ros.codecs import SensorCodec
-from dune_rl.ros.sensor_topics import make_codec
+from dune_rl.ros.codecs.choice import make_codec
+from dune_rl.ros.codecs.codec import SensorCodec
 from dune_rl.ros.transforms import FrameMount
 from dune_rl.ros.velocity_commands import twist_of_action
 from dune_rl.sensors.lidar import LidarConf
@@ -34,6 +35,15 @@ class ReadingTiming:
         return self.every % repeat == 0
 
 
+class Sensed(NamedTuple):
+    """The latest `readings` (N, ...) of a group's agents, and the ranges (N, n_beams) of all beams that their
+    planar LiDARs have measured just now, by name.
+    """
+
+    readings: Mapping[str, Reading]
+    scans: Mapping[str, Reading]
+
+
 class GroupTopics:
     """The topics of a group's agents: `codecs` and `timing` by sensor, and the fixed frames `mounts`.
 
@@ -45,12 +55,13 @@ class GroupTopics:
         self.group = group
         self.codecs: dict[str, SensorCodec] = {}
         self.timing: dict[str, ReadingTiming] = {}
-        self._scanners: dict[str, Any] = {}
+        # Of planar LiDARs, whose beams are more than their readings.
+        self.scanners: dict[str, Any] = {}
         suite = group.suite
         for name, conf in {} if suite is None else suite.settings.items():
             if suite is None or not conf.observed:
                 continue
-            timing = ReadingTiming(*((1, 0) if conf.realism is None else conf.realism.steps(step_s)))
+            timing = ReadingTiming(*conf.steps(step_s))
             needs_past = isinstance(conf, LidarConf | OdometryConf)
             is_known = repeat == 1 or timing == ReadingTiming()
             # Agents that come do so in any control step.
@@ -60,7 +71,7 @@ class GroupTopics:
             self.codecs[name] = make_codec(name, conf, bounds, step_s=step_s, standard=standard)
             self.timing[name] = timing
             if isinstance(conf, LidarConf) and standard:
-                self._scanners[name] = suite.without_timing(name)
+                self.scanners[name] = suite.without_timing(name)
         self.has_odometry = ODOMETRY in self.codecs and any(
             channel.topic == "odom" for channel in self.codecs[ODOMETRY].channels
         )
@@ -73,13 +84,9 @@ class GroupTopics:
         """The fixed frames of all sensors."""
         return tuple(mount for codec in self.codecs.values() for mount in codec.mounts)
 
-    def readings(self) -> dict[str, Reading]:
-        """The latest readings (N, ...) by name."""
-        return self.group.observe()
-
-    def scans(self) -> dict[str, Reading]:
-        """The ranges (N, n_beams) of all beams that the planar LiDARs have measured just now."""
-        return {name: scanner.ranges for name, scanner in self._scanners.items()}
+    def sense(self) -> Sensed:
+        """What the group's agents sense now."""
+        return Sensed(self.group.observe(), {name: scanner.ranges for name, scanner in self.scanners.items()})
 
     def twist(self, action: Array) -> tuple[float, float] | None:
         """Speed [m/s] and yaw rate [rad/s] of an action; None for one that is no speed and heading."""

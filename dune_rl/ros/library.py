@@ -7,9 +7,9 @@ import numpy as np
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.geometry.arrays import Array
-from dune_rl.ros.transforms import quaternion_of
-
-_NS = 1_000_000_000
+from dune_rl.geometry.frames import quaternions
+from dune_rl.ros.times import NS_PER_S
+from dune_rl.ros.transforms import Pose
 
 
 def require_rosbags(setting: str = "bag=FOLDER") -> None:
@@ -46,7 +46,7 @@ class MessageTypes:
         return data
 
     def time(self, time_ns: int) -> Any:
-        return self.make("builtin_interfaces/Time", sec=time_ns // _NS, nanosec=time_ns % _NS)
+        return self.make("builtin_interfaces/Time", sec=time_ns // NS_PER_S, nanosec=time_ns % NS_PER_S)
 
     def header(self, time_ns: int, frame: str) -> Any:
         return self.make("std_msgs/Header", stamp=self.time(time_ns), frame_id=frame)
@@ -58,39 +58,41 @@ class MessageTypes:
 
     def quaternion(self, rotation: Array) -> Any:
         """A Quaternion of a rotation matrix (3, 3)."""
-        x, y, z, w = quaternion_of(rotation)
+        x, y, z, w = quaternions(rotation).tolist()
         return self.make("geometry_msgs/Quaternion", x=x, y=y, z=z, w=w)
 
-    def pose(self, position: Array, rotation: Array) -> Any:
-        x, y, z = map(float, position)
+    def pose(self, pose: Pose) -> Any:
+        x, y, z = map(float, pose.position)
         point = self.make("geometry_msgs/Point", x=x, y=y, z=z)
-        return self.make("geometry_msgs/Pose", position=point, orientation=self.quaternion(rotation))
+        return self.make("geometry_msgs/Pose", position=point, orientation=self.quaternion(pose.rotation))
 
     def twist(self, linear: Array, angular: Array) -> Any:
         return self.make("geometry_msgs/Twist", linear=self.vector(linear), angular=self.vector(angular))
 
-    def transform(self, header: Any, child: str, position: Array, rotation: Array) -> Any:
-        """A TransformStamped of `child` in the header's frame."""
+    def transform(self, header: Any, child: str, pose: Pose) -> Any:
+        """A TransformStamped of `child`, at `pose` in the header's frame."""
         inner = self.make(
             "geometry_msgs/Transform",
-            translation=self.vector(position),
-            rotation=self.quaternion(rotation),
+            translation=self.vector(pose.position),
+            rotation=self.quaternion(pose.rotation),
         )
         return self.make(
             "geometry_msgs/TransformStamped", header=header, child_frame_id=child, transform=inner
         )
 
-    def odometry(self, header: Any, child: str, pose: tuple[Array, Array], twist: tuple[Array, Array]) -> Any:
-        """An Odometry of position and rotation, and of linear and angular velocity in `child`."""
+    def planar_twist(self, speed_mps: float, yaw_rate_radps: float) -> Any:
+        """A Twist ahead and about the vertical."""
+        return self.twist(np.array([speed_mps, 0.0, 0.0]), np.array([0.0, 0.0, yaw_rate_radps]))
+
+    def odometry(self, header: Any, child: str, pose: Pose, twist: Any) -> Any:
+        """An Odometry of the pose of `child`, and of a Twist in that frame."""
         unknown = np.zeros(36)
         return self.make(
             "nav_msgs/Odometry",
             header=header,
             child_frame_id=child,
-            pose=self.make("geometry_msgs/PoseWithCovariance", pose=self.pose(*pose), covariance=unknown),
-            twist=self.make(
-                "geometry_msgs/TwistWithCovariance", twist=self.twist(*twist), covariance=unknown
-            ),
+            pose=self.make("geometry_msgs/PoseWithCovariance", pose=self.pose(pose), covariance=unknown),
+            twist=self.make("geometry_msgs/TwistWithCovariance", twist=twist, covariance=unknown),
         )
 
     def multi_array(self, values: Any, label: str) -> Any:
@@ -125,16 +127,6 @@ def full_name(name: str) -> str:
     """The type's name in bags: `std_msgs/msg/Bool` of `std_msgs/Bool`."""
     package, _, message = name.partition("/")
     return f"{package}/msg/{message}"
-
-
-def time_ns_of(steps: int, step_s: float) -> int:
-    """The time after `steps` control steps of `step_s`, rounded to a nanosecond."""
-    return round(steps * step_s * _NS)
-
-
-def stamp_ns(stamp: Any) -> int:
-    """The time of a `builtin_interfaces/Time`."""
-    return int(stamp.sec) * _NS + int(stamp.nanosec)
 
 
 def latched_qos() -> Any:

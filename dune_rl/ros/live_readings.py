@@ -6,14 +6,14 @@ from typing import Any
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.ros.dds import Offer, Participant, Subscription
-from dune_rl.ros.library import full_name, stamp_ns
+from dune_rl.ros.library import full_name
 from dune_rl.ros.readings import POSE, TF, TF_STATIC, ReadingSource, RobotReadings, check_parts
 from dune_rl.ros.settings import DrivingConf
+from dune_rl.ros.times import NS_PER_S, header_ns, stamp_ns
 from dune_rl.sensors.sensor import Reading
 
 _CLOCK, _CLOCK_TYPE = "/clock", full_name("rosgraph_msgs/Clock")
 _TF_TYPE = full_name("tf2_msgs/TFMessage")
-_NS = 1_000_000_000
 # Topics become known one after another: what is there twice, so long apart, is all [s].
 _LOOK_S = 0.3
 # A simulation's clock that does not tick for so long, in real time, stands still [s].
@@ -60,7 +60,9 @@ class LiveReadings:
         self._has_clock = conf.sim_time is not False and _CLOCK in offers
         if self._has_clock:
             self._subscribe(_CLOCK, _CLOCK_TYPE, offers)
-        self._clock_ns, self._ticked_s = 0, time.monotonic()
+        # None before the first tick.
+        self._clock_ns: int | None = None
+        self._ticked_s = time.monotonic()
         # When the last message of each topic arrived, by the clock.
         self._arrived_ns: dict[str, int] = {}
         self.newest_sent_ns = 0
@@ -104,8 +106,8 @@ class LiveReadings:
 
     @property
     def now_ns(self) -> int:
-        """The time [ns] of the clock."""
-        return self._clock_ns if self._has_clock else time.time_ns()
+        """The time [ns] of the clock; 0 before its first tick."""
+        return self._clock_ns or 0 if self._has_clock else time.time_ns()
 
     @property
     def clock_stands(self) -> bool:
@@ -131,13 +133,16 @@ class LiveReadings:
             self._arrived_ns[topic] = now_ns
             if topic != TF_STATIC and not self._is_event(topic):
                 self.newest_sent_ns = max(self.newest_sent_ns, sent_ns)
-            self._readings.take(topic, message, _stamp_of(message) or now_ns)
+            self._readings.take(topic, message, header_ns(message) or now_ns)
         if any(topic == _CLOCK for _, topic, _ in found):
             # Now: the first messages take a while.
             self._ticked_s = time.monotonic()
 
     def _tick(self, time_ns: int) -> None:
-        if time_ns < self._clock_ns:
+        if self._clock_ns is None:
+            # Of what arrived before, no time was known.
+            self._arrived_ns = dict.fromkeys(self._arrived_ns, time_ns)
+        elif time_ns < self._clock_ns:
             # A simulation has begun anew.
             self._arrived_ns.clear()
             self._readings.forget()
@@ -151,6 +156,8 @@ class LiveReadings:
         """Why nothing can be done now: a topic that is missing or has stopped; empty where there is all."""
         if missing := self._readings.missing:
             return f"{missing[0]}: no message yet{self._hint(missing[0])}"
+        if self._has_clock and self._clock_ns is None:
+            return f"{_CLOCK}: no message yet"
         if self.clock_stands:
             return f"{_CLOCK} stands still"
         for topic in {*self._readings.topics.values()}:
@@ -158,24 +165,24 @@ class LiveReadings:
                 return fault
         for frame, reference in self._readings.transforms:
             oldest_ns = self._readings.frames.oldest_ns(frame, reference)
-            if oldest_ns is not None and self.now_ns - oldest_ns > self._conf.max_age_s * _NS:
-                age_s = (self.now_ns - oldest_ns) / _NS
+            if oldest_ns is not None and self.now_ns - oldest_ns > self._conf.max_age_s * NS_PER_S:
+                age_s = (self.now_ns - oldest_ns) / NS_PER_S
                 return f"{TF}: the last pose of {frame} in {reference} is {age_s:.2f} s old"
         return ""
 
     def _age_fault(self, topic: str) -> str:
-        most_ns, now_ns = round(self._conf.max_age_s * _NS), self.now_ns
+        most_ns, now_ns = round(self._conf.max_age_s * NS_PER_S), self.now_ns
         silent_ns = now_ns - self._arrived_ns.get(topic, now_ns)
         if silent_ns > most_ns:
-            return f"{topic}: no message for {silent_ns / _NS:.2f} s{self._hint(topic)}"
-        stamp = _stamp_of(self._readings.message_of(topic))
+            return f"{topic}: no message for {silent_ns / NS_PER_S:.2f} s{self._hint(topic)}"
+        stamp = header_ns(self._readings.message_of(topic))
         if stamp is None or abs(now_ns - stamp) <= most_ns:
             return ""
         side = "behind" if stamp < now_ns else "ahead of"
         whose = _CLOCK if self._has_clock else "this machine's clock"
         return (
-            f"{topic}: stamps are {abs(now_ns - stamp) / _NS:.2f} s {side} {whose}; synchronise the clocks, "
-            "or set max_age_s=S"
+            f"{topic}: stamps are {abs(now_ns - stamp) / NS_PER_S:.2f} s {side} {whose}; synchronise the "
+            "clocks, or set max_age_s=S"
         )
 
     def _hint(self, topic: str) -> str:
@@ -193,10 +200,3 @@ class LiveReadings:
     def misplaced(self) -> list[str]:
         """See `RobotReadings.misplaced`."""
         return self._readings.misplaced()
-
-
-def _stamp_of(message: Any) -> int | None:
-    """The time of a message's header [ns]; None without one, and for 0, which is unknown."""
-    if not hasattr(message, "header"):
-        return None
-    return stamp_ns(message.header.stamp) or None

@@ -12,9 +12,10 @@ from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.geometry.arrays import Array
 from dune_rl.ros.dds import Participant, Subscription
-from dune_rl.ros.library import full_name, time_ns_of
+from dune_rl.ros.library import full_name
 from dune_rl.ros.scene_recording import SceneRecording, SimulationTopics
 from dune_rl.ros.settings import LiveConf
+from dune_rl.ros.times import time_ns_of
 from dune_rl.ros.transforms import MAP
 from dune_rl.ros.velocity_commands import TWIST, TWIST_STAMPED, VelocityCommands
 from dune_rl.tasks.task import DIVERGED, Task, TaskConf
@@ -109,6 +110,8 @@ class LiveScene:
     ) -> None:
         self._simulation, self._participant, self._conf, self._report = simulation, participant, conf, report
         self._topics = SimulationTopics.of(simulation, 1)
+        # First, so that whoever finds another topic knows whose time its stamps have.
+        participant.advertise("/clock", full_name("rosgraph_msgs/Clock"))
         for group in simulation.external:
             if not group.has_speed_and_heading:
                 raise ConfigError(

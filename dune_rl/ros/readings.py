@@ -3,22 +3,23 @@
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import reduce
+from operator import matmul
 from typing import Any
 
 import numpy as np
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.suggestions import one_of
-from dune_rl.ros.codecs import ARRAYS, ArrayCodec, MessageError, SensorCodec, Source
-from dune_rl.ros.library import full_name, stamp_ns
-from dune_rl.ros.past_scans import PastScans
+from dune_rl.ros.codecs.codec import ARRAYS, ArrayCodec, MessageError, SensorCodec, Source
+from dune_rl.ros.library import full_name
+from dune_rl.ros.past_scans import PastScans, PastSource
+from dune_rl.ros.times import NS_PER_S, stamp_ns
 from dune_rl.ros.transforms import BASE, ODOM, FrameMount, TransformTree
-from dune_rl.sensors.lidar import LidarConf
 from dune_rl.sensors.sensor import Reading
 
 TF, TF_STATIC = "/tf", "/tf_static"
 SCAN, POSE = full_name("sensor_msgs/LaserScan"), full_name("geometry_msgs/PoseStamped")
-_NS = 1_000_000_000
 _TRUTH = "/ground_truth/odom"
 _ARRAY_NAMES = tuple(map(full_name, ARRAYS))
 _SHOWN = 6
@@ -30,20 +31,17 @@ _MOST_OFFSET_M, _MOST_TURN_RAD = 0.05, np.deg2rad(3.0)
 class ReadingSource:
     """A part of an observation: its shape and type, and the codec of its sensor; None for an array's.
 
-    `past` is the name of the LiDAR, its settings and the age [s] of a part that is a past scan: without a
-    topic of its own, it follows from the LiDAR's scans.
+    A part with a `past` is a past scan: without a topic of its own, it follows from a LiDAR's scans.
     """
 
     array: ArrayCodec
     codec: SensorCodec | None = None
-    past: tuple[str, LidarConf, float] | None = None
+    past: PastSource | None = None
 
     def sources(self, part: str) -> tuple[Source, ...]:
         """Where it may come from, the standard message first."""
-        if self.codec is None:
-            return (self.array.sources[part],)
-        found = [self.codec.sources[part], self.array.sources[part], self.codec.others.get(part)]
-        return tuple(each for each in dict.fromkeys(found) if each is not None)
+        standard = () if self.codec is None else self.codec.sources[part]
+        return (*standard, *self.array.sources[part])
 
 
 def check_parts(named: Iterable[str], parts: Collection[str]) -> None:
@@ -76,7 +74,7 @@ class RobotReadings:
         self._parts, self._types, self._origin, self._remedy = dict(parts), dict(types), origin, remedy
         self._prefix = "" if robot is None else f"{robot.strip('/')}/"
         self._base = base or f"{self._prefix}{BASE}"
-        self._past: dict[str, tuple[str, PastScans]] = {}
+        self._past: dict[str, PastScans] = {}
         self.topics = self._choose_topics(named)
         self._parts_of: dict[str, list[str]] = {}
         for part, topic in self.topics.items():
@@ -84,7 +82,7 @@ class RobotReadings:
         self.frames = TransformTree()
         self._latest: dict[str, Any] = {}
         # Scans that wait for the frames of their time, which may come after them.
-        self._new_scans: list[tuple[str, int, Any]] = []
+        self._new_scans: list[tuple[PastScans, int, Any]] = []
 
     # -- topics -----------------------------------------------------------------------------------
 
@@ -99,8 +97,7 @@ class RobotReadings:
             asked = [named[part]] if part in named else defaults
             there = [topic for topic in asked if topic in self._types]
             if not there and each.past is not None and part not in named:
-                lidar, conf, past_s = each.past
-                self._past[part] = lidar, PastScans(conf, past_s, f"{self._prefix}{ODOM}", self._base)
+                self._past[part] = PastScans(each.past, f"{self._prefix}{ODOM}", self._base)
             elif not there:
                 faults.append(self._describe_missing(part, asked[0], kinds))
             elif self._types[there[0]] not in kinds:
@@ -109,8 +106,8 @@ class RobotReadings:
                 )
             else:
                 found[part] = there[0]
-        for part, (lidar, _) in self._past.items():
-            if self._types.get(found.get(lidar, "")) != SCAN and not faults:
+        for part, past in self._past.items():
+            if self._types.get(found.get(past.lidar, "")) != SCAN and not faults:
                 faults.append(self._describe_missing(part, f"/{self._prefix}observation/{part}", ()))
         if faults:
             more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
@@ -147,15 +144,14 @@ class RobotReadings:
         for part in self._parts_of.get(topic, ()):
             self._latest[part] = message
             self._new_scans += [
-                (name, time_ns, message) for name, (lidar, _) in self._past.items() if lidar == part
+                (past, time_ns, message) for past in self._past.values() if past.lidar == part
             ]
 
     def settle(self, time_ns: int) -> None:
         """Take note that all messages of before a time have arrived."""
         while self._new_scans and time_ns > self._new_scans[0][1]:
-            part, taken_ns, message = self._new_scans.pop(0)
-            lidar, past = self._past[part]
-            with self._naming(lidar, message):
+            past, taken_ns, message = self._new_scans.pop(0)
+            with self._naming(past.lidar, message):
                 past.add(message, taken_ns, self.frames)
 
     def forget(self) -> None:
@@ -163,7 +159,7 @@ class RobotReadings:
         self._latest.clear()
         self._new_scans.clear()
         self.frames.forget_changing()
-        for _, past in self._past.values():
+        for past in self._past.values():
             past.forget()
 
     @property
@@ -195,9 +191,10 @@ class RobotReadings:
                 found[part] = codec.decode(part, message, self.frames, self._base)
                 if not np.isfinite(found[part]).all():
                     raise MessageError("it has numbers that are not finite")
-        for part, (lidar, past) in self._past.items():
-            with self._naming(lidar, self._latest[lidar]):
-                found[part] = past.reading(self._latest[lidar], time_ns, self.frames)
+        for part, past in self._past.items():
+            scan = self._latest[past.lidar]
+            with self._naming(past.lidar, scan):
+                found[part] = past.reading(scan, time_ns, self.frames)
         return found
 
     @contextmanager
@@ -208,7 +205,7 @@ class RobotReadings:
         except MessageError as error:
             at = ""
             if hasattr(message, "header"):
-                at = f" at {stamp_ns(message.header.stamp) / _NS:.3f} s"
+                at = f" at {stamp_ns(message.header.stamp) / NS_PER_S:.3f} s"
             raise ConfigError(
                 f"{self._origin}: {self.topics[part]}{at} does not fit {part}: {error}"
             ) from None
@@ -232,17 +229,17 @@ class RobotReadings:
         """What is wrong with the place of a sensor, whose frames the policy knows as `mounts`; else empty."""
         pose = self.frames.pose(frame, self._base)
         assert pose is not None
-        position, rotation = np.zeros(3), np.eye(3)
         # From the body outwards.
-        for mount in mounts:
-            position, rotation = position + rotation @ mount.position, rotation @ mount.rotation
-        topic, turned = self.topics[part], rotation.T @ pose[1]
+        learnt = reduce(matmul, (mount.pose for mount in mounts))
+        topic, turned = self.topics[part], learnt.rotation.T @ pose.rotation
         # The bearings of scans are turned back; what is left is the tilt.
         cosine = turned[2, 2] if self._types[topic] == SCAN else (np.trace(turned) - 1.0) / 2.0
         angle = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
-        if np.linalg.norm(pose[0] - position) > _MOST_OFFSET_M:
+        if np.linalg.norm(pose.position - learnt.position) > _MOST_OFFSET_M:
             sensor = mounts[0].name.removesuffix("_link")
-            here, there = (f"[{','.join(f'{value:.3g}' for value in each)}]" for each in (pose[0], position))
+            here, there = (
+                f"[{','.join(f'{value:.3g}' for value in each.position)}]" for each in (pose, learnt)
+            )
             return (
                 f"{topic}: {frame} is at {here} m on {self._base}, and the policy learnt with {sensor} at "
                 f"{there}; mount it there, or train with sensors.{sensor}.mount_b={here}"

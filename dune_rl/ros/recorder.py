@@ -9,8 +9,9 @@ from tensordict import TensorDictBase
 
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.ros.bag import EpisodeBag, episode_path
-from dune_rl.ros.library import require_rosbags, time_ns_of
+from dune_rl.ros.library import require_rosbags
 from dune_rl.ros.scene_recording import SceneRecording, SimulationTopics
+from dune_rl.ros.times import time_ns_of
 from dune_rl.statistics.measures import MetricsRow
 
 

@@ -1,19 +1,15 @@
 """A scene in one episode as messages: its clock, its fixed frames, and the topics of its agents."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Self
 
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.geometry.arrays import Array
 from dune_rl.ros.agent_recording import AgentRecording
-from dune_rl.ros.group_topics import GroupTopics
+from dune_rl.ros.group_topics import GroupTopics, Sensed
 from dune_rl.ros.library import MessageSink
-from dune_rl.sensors.sensor import Reading
 from dune_rl.state.state import State
-
-# Of each group: the readings of its agents, and the ranges of all beams of their planar LiDARs.
-Sensed = Sequence[tuple[Mapping[str, Reading], Mapping[str, Reading]]]
 
 
 @dataclass(frozen=True)
@@ -35,35 +31,28 @@ class SimulationTopics:
             {name: f"{name}/" if several else "" for name in simulation.agents},
         )
 
-    def sense(self) -> Sensed:
-        """What the agents of all scenes sense now."""
-        return [(topics.readings(), topics.scans()) for topics in self.groups]
+    def sense(self) -> dict[str, Sensed]:
+        """What the agents of all scenes sense now, by group."""
+        return {topics.group.name: topics.sense() for topics in self.groups}
 
 
 class SceneRecording:
     """Writes the topics of all external agents of a scene into `sink`, from the start of an episode on."""
 
     def __init__(self, sink: MessageSink, topics: SimulationTopics, scene: int, time_ns: int = 0) -> None:
-        self._sink, self._topics, self._scene = sink, topics, scene
-        self._agents = [
-            [
-                AgentRecording(sink, group, scene * group.group.count + agent, topics.prefixes[name])
-                for agent, name in enumerate(group.group.names)
-            ]
-            for group in topics.groups
-        ]
-        types = sink.types
-        transforms = [
-            types.transform(
-                types.header(time_ns, topics.prefixes[name] + mount.parent),
-                topics.prefixes[name] + mount.name,
-                mount.position,
-                mount.rotation,
-            )
-            for group in topics.groups
-            for name in group.group.names
-            for mount in group.mounts
-        ]
+        self._sink = sink
+        self._agents: list[AgentRecording] = []
+        types, transforms = sink.types, []
+        for group in topics.groups:
+            for row, name in enumerate(group.group.names, scene * group.group.count):
+                prefix = topics.prefixes[name]
+                self._agents.append(AgentRecording(sink, group, row, prefix))
+                transforms += [
+                    types.transform(
+                        types.header(time_ns, prefix + mount.parent), prefix + mount.name, mount.pose
+                    )
+                    for mount in group.mounts
+                ]
         message = types.make("tf2_msgs/TFMessage", transforms=transforms)
         sink.write("/tf_static", message, time_ns, latched=True)
 
@@ -74,23 +63,14 @@ class SceneRecording:
 
         With `as_twist` also as `cmd_vel`.
         """
-        for group, recordings in zip(self._topics.groups, self._agents, strict=True):
-            ended = state.groups[group.group.name].done
-            for agent, recording in enumerate(recordings):
-                if recording.begun and not ended[self._scene * group.group.count + agent]:
-                    action = actions[group.group.name][self._scene, agent]
-                    recording.write_action(action, time_ns, as_twist=as_twist)
+        for agent in self._agents:
+            agent.write_action(actions, state, time_ns, as_twist=as_twist)
 
     def write_clock(self, time_ns: int) -> None:
         types = self._sink.types
         self._sink.write("/clock", types.make("rosgraph_msgs/Clock", clock=types.time(time_ns)), time_ns)
 
-    def write_state(self, state: State, time_ns: int, sensed: Sensed) -> None:
+    def write_state(self, state: State, time_ns: int, sensed: Mapping[str, Sensed]) -> None:
         """Write what the agents see and are after a control step, or at the start."""
-        for group, recordings, (readings, scans) in zip(
-            self._topics.groups, self._agents, sensed, strict=True
-        ):
-            ended = state.groups[group.group.name].done
-            for agent, recording in enumerate(recordings):
-                if not ended[self._scene * group.group.count + agent]:
-                    recording.write_state(state, time_ns, readings, scans)
+        for agent in self._agents:
+            agent.write_state(state, time_ns, sensed)

@@ -1,63 +1,54 @@
 """Frames of ROS (REP-103 axes, REP-105 names) and the transforms between them."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.frames import rotation_from_angles, rotation_matrices
+from dune_rl.ros.times import stamp_ns
 
-_NS = 1_000_000_000
 _MOST_STRETCH = 0.01
 MAP, ODOM, BASE = "map", "odom", "base_link"
 # From axes of a body (x forward, y left, z up) to those of pictures (x right, y down, z forward).
 OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
+class Pose(NamedTuple):
+    """Where a frame is in another one: its origin (3,) [m], and the rotation (3, 3) to that one's axes."""
+
+    position: Array
+    rotation: Array
+
+    def __matmul__(self, inner: "Pose") -> "Pose":
+        """The pose of a frame that is at `inner` in this one."""
+        return Pose(self.position + self.rotation @ inner.position, self.rotation @ inner.rotation)
+
+    @property
+    def inverse(self) -> "Pose":
+        """The pose of the other frame in this one."""
+        return Pose(-self.rotation.T @ self.position, self.rotation.T)
+
+
+ORIGIN = Pose(np.zeros(3), np.eye(3))
+
+
 @dataclass(frozen=True)
 class FrameMount:
-    """A fixed frame: `name` is `position` (3,) [m] from `parent`, turned by `rotation` (3, 3)."""
+    """A fixed frame: `name` is at `pose` in `parent`."""
 
     parent: str
     name: str
-    position: Array
-    rotation: Array
+    pose: Pose
 
     @classmethod
     def on_base(cls, name: str, mount_b: Iterable[float] | None, pitch_rad: float = 0.0) -> "FrameMount":
         """A frame on the body, pitched down by `pitch_rad`; the body's own origin without `mount_b`."""
         position = np.zeros(3) if mount_b is None else np.array(list(mount_b), np.float64)
-        return cls(BASE, name, position, rotation_from_angles(np.array([0.0, pitch_rad, 0.0])))
-
-
-def quaternion_of(rotation: Array) -> tuple[float, float, float, float]:
-    """Unit quaternion x, y, z, w of a rotation matrix (3, 3), with w of at least 0.
-
-    From the largest of its numbers, as in "Quaternion from rotation matrix", Journal of Guidance and
-    Control 1 (1978).
-    """
-    # Plain numbers: SciPy takes many times as long for one matrix.
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rotation.tolist()
-    fourfold = (1.0 + xx - yy - zz, 1.0 - xx + yy - zz, 1.0 - xx - yy + zz, 1.0 + xx + yy + zz)
-    largest = max(range(4), key=fourfold.__getitem__)
-    parts = (
-        (fourfold[0], xy + yx, xz + zx, zy - yz),
-        (xy + yx, fourfold[1], yz + zy, xz - zx),
-        (xz + zx, yz + zy, fourfold[2], yx - xy),
-        (zy - yz, xz - zx, yx - xy, fourfold[3]),
-    )[largest]
-    scale = math.copysign(0.5 / math.sqrt(fourfold[largest]), parts[3])
-    x, y, z, w = (scale * part for part in parts)
-    return x, y, z, w
-
-
-def relative_pose(outer: tuple[Array, Array], inner: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Position and rotation T with `outer` = T `inner`: where the frame lies that `inner` is in."""
-    rotation = outer[1] @ inner[1].T
-    return outer[0] - rotation @ inner[0], rotation
+        return cls(BASE, name, Pose(position, rotation_from_angles(np.array([0.0, pitch_rad, 0.0]))))
 
 
 def is_rotation(quaternion: Any) -> bool:
@@ -75,7 +66,8 @@ class TransformTree:
     """The latest transforms of /tf and /tf_static, by their child frames."""
 
     def __init__(self) -> None:
-        self._parents: dict[str, tuple[str, Array, Array]] = {}
+        # The parent of each frame, and its pose there.
+        self._parents: dict[str, tuple[str, Pose]] = {}
         # Times [ns] of the transforms that change.
         self._stamps: dict[str, int] = {}
 
@@ -87,23 +79,22 @@ class TransformTree:
             if not (is_rotation(turned) and np.isfinite(position).all()):
                 continue
             parent, child = (name.lstrip("/") for name in (each.header.frame_id, each.child_frame_id))
-            self._parents[child] = parent, position, rotation_of(turned)
+            self._parents[child] = parent, Pose(position, rotation_of(turned))
             if not is_static:
-                self._stamps[child] = int(each.header.stamp.sec) * _NS + int(each.header.stamp.nanosec)
+                self._stamps[child] = stamp_ns(each.header.stamp)
 
-    def pose(self, frame: str, reference: str) -> tuple[Array, Array] | None:
-        """Position (3,) and rotation (3, 3) of `frame` in `reference`, above it; None where none leads there.
+    def pose(self, frame: str, reference: str) -> Pose | None:
+        """The pose of `frame` in `reference`, above it; None where no transforms lead there.
 
         A frame is at its own origin.
         """
         way = self._way(frame, reference)
         if way is None:
             return None
-        position, rotation = np.zeros(3), np.eye(3)
+        found = ORIGIN
         for at in way:
-            _, offset, turn = self._parents[at]
-            position, rotation = offset + turn @ position, turn @ rotation
-        return position, rotation
+            found = self._parents[at][1] @ found
+        return found
 
     def oldest_ns(self, frame: str, reference: str) -> int | None:
         """The time [ns] of the oldest changing transform from `frame` to `reference`; None without one."""
@@ -126,8 +117,3 @@ class TransformTree:
             found.append(at)
             at = self._parents[at][0]
         return found
-
-    @property
-    def frames(self) -> Mapping[str, str]:
-        """The parent of each frame."""
-        return {child: parent for child, (parent, *_) in self._parents.items()}

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from dune_rl.geometry.arrays import Array
+from dune_rl.ros.times import NS_PER_S
 from dune_rl.state.unicycle import Unicycle
 
 TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
-_NS = 1_000_000_000
 
 
 def twist_of_action(vehicle: Unicycle, action: Array) -> tuple[float, float]:
@@ -40,7 +40,7 @@ class VelocityCommands:
     """
 
     def __init__(self, vehicle: Unicycle, timeout_s: float, who: str, report: Callable[[str], None]) -> None:
-        self._vehicle, self._timeout_ns = vehicle, round(timeout_s * _NS)
+        self._vehicle, self._timeout_ns = vehicle, round(timeout_s * NS_PER_S)
         self._who, self._timeout_s, self._report = who, timeout_s, report
         self._rest = np.zeros(2)
         self._action, self._given_ns = self._rest, -1

@@ -48,6 +48,13 @@ class Lidar3dConf(ScannerConf):
             raise ValueError(f"outputs must differ from each other (got {list(self.outputs)})")
         return self
 
+    def directions(self) -> Array:
+        """Unit vectors (n_rings, n_beams, 3) along the beams, in the sensor frame, the highest ring first."""
+        highest, lowest, fov = np.deg2rad(
+            [self.highest_elevation_deg, self.lowest_elevation_deg, self.fov_deg]
+        )
+        return fan(bearings(fov, self.n_beams), np.linspace(highest, lowest, self.n_rings))
+
 
 class Lidar3d(PictureSensor):
     """The readings "<name>_<output>", (N, n_rings, n_beams, 1).
@@ -75,10 +82,7 @@ class Lidar3d(PictureSensor):
         self._solid, self._surface = context.solid, context.surfaces
         self._groups = columns_by_mesh(context.meshes)
         self._brightness = [luminance(mesh.albedo) for mesh, _ in self._groups]
-        ends_deg = [conf.highest_elevation_deg, conf.lowest_elevation_deg, conf.fov_deg]
-        highest, lowest, fov = np.deg2rad(ends_deg)
-        elevation = np.linspace(highest, lowest, conf.n_rings)
-        self._directions_b = fan(bearings(fov, conf.n_beams), elevation).reshape(-1, 3).astype(np.float32)
+        self._directions_b = conf.directions().reshape(-1, 3).astype(np.float32)
         self._order = np.arange(len(self._directions_b))
         draws_name = name.replace("_", " ")
         self._effects: list[RangeEffect] = [

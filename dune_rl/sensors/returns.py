@@ -4,7 +4,7 @@ import numpy as np
 
 from dune_rl.geometry.arrays import Array, Floats
 from dune_rl.geometry.frames import rotation_from_yaw
-from dune_rl.sensors.beams import bearings, fan
+from dune_rl.sensors.beams import fan
 from dune_rl.sensors.lidar import LidarConf, ScannerConf, beam_angles
 from dune_rl.sensors.lidar_3d import Lidar3dConf
 from dune_rl.sensors.sensor import mount_position
@@ -26,11 +26,7 @@ def find_returns(
             # Its ranges are distances in the level plane.
             rotation = rotation_from_yaw(np.arctan2(rotation[1, 0], rotation[0, 0]))
     elif isinstance(conf, Lidar3dConf):
-        highest, lowest, fov = np.deg2rad(
-            [conf.highest_elevation_deg, conf.lowest_elevation_deg, conf.fov_deg]
-        )
-        elevation = np.linspace(highest, lowest, conf.n_rings)
-        directions = fan(bearings(fov, conf.n_beams), elevation).reshape(-1, 3)
+        directions = conf.directions().reshape(-1, 3)
     else:
         raise TypeError(f"{type(conf).__name__} is no LiDAR")
     along = ranges.reshape(-1, 1)

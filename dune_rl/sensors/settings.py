@@ -34,6 +34,10 @@ class SensorSettings(Settings):
     )
     observed: bool = Field(True, description="whether it is observed; false: robots only navigate by it")
 
+    def steps(self, step_s: float) -> tuple[int, int]:
+        """Control steps of `step_s` between two readings, and until a reading arrives."""
+        return (1, 0) if self.realism is None else self.realism.steps(step_s)
+
     def mounted_on(self, carrier: SensorCarrier) -> Self:
         """The same with the carrier's values where `from_carrier` has None."""
         values = {

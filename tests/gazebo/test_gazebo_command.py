@@ -3,7 +3,9 @@
 import json
 from collections.abc import Callable
 from pathlib import Path
+from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 from libsdformat import assert_valid
 
@@ -52,6 +54,16 @@ def test_what_is_read_back_is_said(folder: Path, call: Call, capsys) -> None:
         "read back: python -m dune_rl.view +world=sdf world.path=site/world.sdf world.spacing_m=5 "
         "'world.region=[-4,4,-4,4]' world.surface_map=site/surfaces.png"
     )
+
+
+@pytest.mark.slow
+def test_actors_go_on_to_further_goals(folder: Path, call: Call) -> None:
+    guest = "+actors.guest={body: person, controller: go_to_goal, task: walking}"
+    assert call(export.main, *SITE[:2], "actors=none", guest, "duration_s=20", "out=site") == 0
+    (trajectory,) = ElementTree.parse(folder / "site" / "world.sdf").iter("trajectory")
+    poses = np.array([point.findtext("pose").split() for point in trajectory], float)
+    # The first goal is reached after 5 s.
+    assert np.ptp(poses[25:, :2], axis=0).max() > 2.0
 
 
 @pytest.mark.slow(all_but=["*choose what to export*", "*exported apart*", "*no world*", "*other files*"])

@@ -12,7 +12,7 @@ from simulations import started_simulation
 from urdf_files import write_cart
 from vehicles import write_car
 
-from dune_rl.gazebo.robot_sensors import make_sensors
+from dune_rl.gazebo.robot.sensors import make_sensors
 from dune_rl.gazebo.scene import WORLD, write_robots, write_scene
 from dune_rl.geometry.frames import rotation_from_angles
 from dune_rl.robots.robot import Robot

@@ -11,6 +11,7 @@ from dune_rl.geometry.frames import (
     cross,
     multiply_quaternions,
     quaternion_on_slope,
+    quaternions,
     roll_pitch_yaw,
     rotation_matrices,
     to_body,
@@ -19,7 +20,7 @@ from dune_rl.geometry.frames import (
 )
 
 component = st.floats(-1.0, 1.0)
-quaternions = (
+unit_quaternions = (
     st.tuples(component, component, component, component)
     .map(np.array)
     .filter(lambda q: np.linalg.norm(q) > 0.1)
@@ -45,7 +46,7 @@ def test_an_angle_within_the_turn_stays(angle):
     assert wrap_angle(np.asarray(angle)) == pytest.approx(angle, abs=1e-12)
 
 
-@given(quaternions, vectors)
+@given(unit_quaternions, vectors)
 def test_vectors_go_to_the_world_and_back(quaternion, vector):
     rotation = rotation_matrices(quaternion)
     np.testing.assert_allclose(to_body(rotation, to_world(rotation, vector)), vector, atol=1e-9)
@@ -54,12 +55,25 @@ def test_vectors_go_to_the_world_and_back(quaternion, vector):
     )
 
 
-@given(quaternions)
+@given(unit_quaternions)
 def test_rotation_matrices_are_rotations(quaternion):
     rotation = rotation_matrices(quaternion)
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(rotation) == pytest.approx(1.0)
     np.testing.assert_allclose(rotation, rotation_matrices(-quaternion), atol=1e-15)
+
+
+@given(unit_quaternions)
+@example(np.array([0.0, 0.0, 0.0, 1.0]))
+@example(np.array([1.0, 0.0, 0.0, 0.0]))
+@example(np.array([0.0, 1.0, 0.0, 0.0]))
+@example(np.array([0.0, 0.0, 1.0, 0.0]))
+def test_quaternions_come_back(quaternion):
+    found = quaternions(rotation_matrices(quaternion))
+    assert found[3] >= 0.0
+    # Of half turns both signs are right.
+    sign = np.sign(found @ quaternion)
+    np.testing.assert_allclose(found, sign * quaternion, atol=1e-9)
 
 
 @given(st.floats(-3.1, 3.1), st.floats(-1.5, 1.5), st.floats(-3.1, 3.1))
@@ -77,7 +91,7 @@ def test_nose_down_is_positive_pitch_and_left_side_up_is_positive_roll():
     assert roll_pitch_yaw(left_up)[0] == pytest.approx(0.2)
 
 
-@given(quaternions, quaternions)
+@given(unit_quaternions, unit_quaternions)
 def test_a_product_turns_by_the_second_then_the_first(first, second):
     product = rotation_matrices(multiply_quaternions(first, second))
     np.testing.assert_allclose(product, rotation_matrices(first) @ rotation_matrices(second), atol=1e-12)
@@ -95,7 +109,7 @@ def test_a_body_on_a_slope_has_its_normal_and_keeps_its_heading_when_level(slope
 
 
 @settings(max_examples=20)
-@given(st.lists(quaternions, min_size=6, max_size=6))
+@given(st.lists(unit_quaternions, min_size=6, max_size=6))
 def test_batches_are_their_members(many):
     batch = np.array(many).reshape(2, 3, 4)
     rotations = rotation_matrices(batch)

@@ -15,7 +15,7 @@ from dune_rl.learning.evaluation import evaluate
 from dune_rl.learning.policies import built_in_policy
 from dune_rl.ros.bag import EpisodeBag
 from dune_rl.ros.bag_readings import BagReadings
-from dune_rl.ros.codecs import ArrayCodec
+from dune_rl.ros.codecs.codec import ArrayCodec
 from dune_rl.ros.group_topics import GroupTopics
 from dune_rl.ros.readings import ReadingSource
 from dune_rl.ros.recorder import BagRecorder

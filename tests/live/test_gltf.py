@@ -6,12 +6,12 @@ from io import BytesIO
 from typing import Any
 
 import numpy as np
-import pytest
 import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from dune_rl.rendering.web.gltf import GltfFile, Surface, quaternions
+from dune_rl.geometry.frames import quaternions
+from dune_rl.rendering.web.gltf import GltfFile, Surface
 
 CORNERS = np.array([[[0, 0, 0], [2, 0, 0], [0, 1, 0]], [[0, 0, 3], [2, 0, 3], [0, 1, 3]]], float)
 COLOURS = np.array([[1.0, 0.5, 0.0], [0.0, 0.25, 1.0]], np.float32)
@@ -107,11 +107,3 @@ def test_animations_have_their_times_and_values() -> None:
     )
     bounds = tree_of(content)[0]["accessors"][found["scale"]["input"]]
     assert (bounds["min"], bounds["max"]) == ([0.0], [0.5])
-
-
-@pytest.mark.parametrize("angle", [0.0, 120.0, 180.0, 240.0])
-def test_quaternions_are_of_the_rotation(angle: float) -> None:
-    turn = Rotation.from_euler("xyz", [10.0, 20.0, angle], degrees=True)
-    found = quaternions(turn.as_matrix())
-    assert found[3] >= 0.0
-    np.testing.assert_allclose(Rotation.from_quat(found).as_matrix(), turn.as_matrix(), atol=1e-12)

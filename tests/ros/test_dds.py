@@ -30,16 +30,17 @@ from live_topics import random_domain
 from dune_rl.clients.driven_policy import load_driven_policy
 from dune_rl.clients.live_driver import LiveDriver
 from dune_rl.commands.drive import parse_words
-from dune_rl.commands.ros import without_ends
 from dune_rl.config.build import make_simulation
 from dune_rl.config.commands import RosConf
 from dune_rl.config.compose import compose
+from dune_rl.config.endless import without_ends
 from dune_rl.core.errors import ConfigError
 from dune_rl.ros.dds import Participant
 from dune_rl.ros.dds_types import dds_type, message_struct, ros_topic, ros_type
 from dune_rl.ros.library import message_types
 from dune_rl.ros.live_scene import LiveScene
 from dune_rl.ros.settings import DrivingConf, NetworkConf
+from dune_rl.ros.transforms import Pose
 
 FLAT = ROOT / "experiments" / "flat" / "seed1" / "policy.pt"
 # How long a test waits for something that comes at once on an idle machine [s].
@@ -110,7 +111,8 @@ def test_another_program_reads_what_is_published(
 
 def test_latched_messages_reach_those_who_come_later(network: NetworkConf, participant: Participant) -> None:
     types = participant.types
-    frame = types.transform(types.header(0, "base_link"), "lidar_link", np.array([0.1, 0.2, 0.3]), np.eye(3))
+    pose = Pose(np.array([0.1, 0.2, 0.3]), np.eye(3))
+    frame = types.transform(types.header(0, "base_link"), "lidar_link", pose)
     message = types.make("tf2_msgs/TFMessage", transforms=[frame])
     participant.write("/tf_static", message, 0, latched=True)
     other = DomainParticipant(network.domain_id)
@@ -189,7 +191,8 @@ def test_a_domain_whose_ports_are_taken_is_named(network: NetworkConf) -> None:
 
 def test_a_policy_drives_a_scene_to_its_goal(network: NetworkConf) -> None:
     """Both in this process; see below for two."""
-    conf = compose(RosConf, ["actors=none", "seed=3", "speed=8", "duration_s=60"], (), load_config(FLAT))
+    conf = compose(RosConf, ["actors=none", "seed=3", "speed=8"], (), load_config(FLAT))
+    policy = load_driven_policy(FLAT)
     simulation = make_simulation(without_ends(conf), 1, conf.seed)
     tasks = {group.name: group.task for group in conf.external_groups}
     lines: list[str] = []
@@ -200,7 +203,7 @@ def test_a_policy_drives_a_scene_to_its_goal(network: NetworkConf) -> None:
     running.start()
     said: list[str] = []
     driver = LiveDriver(
-        load_driven_policy(FLAT),
+        policy,
         participants[1],
         DrivingConf(once=True, wait_s=PATIENCE_S),
         said.append,

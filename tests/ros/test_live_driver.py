@@ -16,7 +16,9 @@ from dune_rl.clients.driven_policy import DrivenPolicy
 from dune_rl.clients.live_driver import LiveDriver
 from dune_rl.clients.policy_interface import PolicyInterface
 from dune_rl.core.errors import ConfigError
+from dune_rl.ros.live_readings import LiveReadings
 from dune_rl.ros.settings import DrivingConf
+from dune_rl.ros.transforms import ORIGIN, Pose
 
 SECOND = 1_000_000_000
 INTERFACE = PolicyInterface.model_validate(
@@ -51,6 +53,10 @@ INTERFACE = PolicyInterface.model_validate(
         "goal_m": 0.75,
     }
 )
+
+
+def _at(x: float, y: float, z: float) -> Pose:
+    return Pose(np.array([x, y, z]), np.eye(3))
 
 
 class Rig:
@@ -113,7 +119,6 @@ class Rig:
     def _publish(self) -> None:
         types, now_ns = self.board.types, (self.turn + 1) * SECOND // 20
         stamp_ns = now_ns - round(self.late_s * SECOND)
-        level = np.eye(3)
 
         def put(topic: str, message: Any) -> None:
             if topic not in self.silent:
@@ -121,19 +126,18 @@ class Rig:
 
         put("/clock", types.make("rosgraph_msgs/Clock", clock=types.time(now_ns)))
         if self.turn == 0:
-            mount = types.transform(types.header(0, "base_link"), "laser", self.mount, level)
+            mount = types.transform(types.header(0, "base_link"), "laser", _at(*self.mount))
             put("/tf_static", types.make("tf2_msgs/TFMessage", transforms=[mount]))
-            pose = types.pose(np.array([*self.goal, 0.0]), level)
+            pose = types.pose(_at(*self.goal, 0.0))
             header = types.header(0, "map")
             put("/goal_pose", types.make("geometry_msgs/PoseStamped", header=header, pose=pose))
         frames = [
-            types.transform(types.header(now_ns, "map"), "odom", np.zeros(3), level),
-            types.transform(types.header(now_ns, "odom"), "base_link", np.array([1.0, 0.0, 0.0]), level),
+            types.transform(types.header(now_ns, "map"), "odom", ORIGIN),
+            types.transform(types.header(now_ns, "odom"), "base_link", _at(1.0, 0.0, 0.0)),
         ]
         put("/tf", types.make("tf2_msgs/TFMessage", transforms=frames))
-        zero = np.zeros(3)
         header = types.header(now_ns, "odom")
-        put("/odom", types.odometry(header, "base_link", (zero, level), (np.array([0.3, 0, 0]), zero)))
+        put("/odom", types.odometry(header, "base_link", ORIGIN, types.planar_twist(0.3, 0.0)))
         put(
             "/scan",
             types.make(
@@ -276,7 +280,7 @@ def test_the_robot_stands_at_the_goal_and_goes_to_the_next() -> None:
     def send(turn: int) -> None:
         if turn in (10, 30):
             types = rig.board.types
-            pose = types.pose(np.array([1.5 if turn == 10 else 9.0, 0.0, 0.0]), np.eye(3))
+            pose = types.pose(_at(1.5 if turn == 10 else 9.0, 0.0, 0.0))
             header = types.header(0, "map")
             rig.board.put("/goal_pose", types.make("geometry_msgs/PoseStamped", header=header, pose=pose))
 
@@ -310,6 +314,23 @@ def test_a_simulation_that_begins_anew_is_followed() -> None:
 
     rig.run(40, restart)
     assert len(rig.seen) == 15 + 20 and rig.begins.count(True) == 2 and not rig.stops
+
+
+@pytest.mark.parametrize("first", [0, 20])
+def test_a_clock_that_stands_stops_the_robot_until_it_ticks(
+    first: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = Rig(wait_s=60.0)
+    monkeypatch.setattr(LiveReadings, "clock_stands", property(lambda self: "/clock" in rig.silent))
+
+    def hold_back(turn: int) -> None:
+        rig.silent = {"/clock"} if first <= turn < 60 else set()
+
+    rig.run(70, hold_back)
+    waiting = ["waiting: /clock: no message yet", "driving"]
+    stopping = ["driving", "stopped: /clock stands still", "driving again"]
+    assert rig.lines == (stopping if first else waiting)
+    assert rig.commands[-2] == pytest.approx((0.8, 0.5))
 
 
 def test_another_mount_is_named() -> None:

@@ -13,13 +13,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from live_topics import TopicBoard
 
-from dune_rl.commands.ros import without_ends
 from dune_rl.config.build import make_simulation
 from dune_rl.config.commands import RosConf
 from dune_rl.config.compose import compose
+from dune_rl.config.endless import without_ends
 from dune_rl.core.errors import ConfigError
 from dune_rl.ros.dds import Offer
 from dune_rl.ros.live_scene import LiveScene, LiveSummary
+from dune_rl.ros.transforms import Pose
 from dune_rl.ros.velocity_commands import TWIST_STAMPED, VelocityCommands, action_of_twist, twist_of_action
 from dune_rl.state.unicycle import Unicycle
 
@@ -57,11 +58,11 @@ class Stage:
         return scene.run()
 
     def twist(self, speed: float, turn: float) -> Any:
-        return self.board.types.twist(np.array([speed, 0.0, 0.0]), np.array([0.0, 0.0, turn]))
+        return self.board.types.planar_twist(speed, turn)
 
     def goal(self, x: float, y: float, frame: str = "map") -> Any:
         types = self.board.types
-        pose = types.pose(np.array([x, y, 0.0]), np.eye(3))
+        pose = types.pose(Pose(np.array([x, y, 0.0]), np.eye(3)))
         return types.make("geometry_msgs/PoseStamped", header=types.header(0, frame), pose=pose)
 
     @property
@@ -97,17 +98,17 @@ def test_commands_stay_within_what_the_robot_can_do(speed: float, turn: float) -
 def test_a_robot_stands_without_fresh_commands_and_at_nan() -> None:
     lines: list[str] = []
     commands = VelocityCommands(ROVER, 0.5, "/cmd_vel", lines.append)
-    twist = TopicBoard().types.twist
+    twist = TopicBoard().types.planar_twist
     assert not commands.action(0).any()
-    commands.take(twist(np.array([0.5, 0.0, 0.0]), np.zeros(3)), 1_000_000_000)
+    commands.take(twist(0.5, 0.0), 1_000_000_000)
     assert commands.action(1_500_000_000).tolist() == [0.5, 0.0] and not lines
     assert not commands.action(1_500_000_001).any()
     assert len(lines) == 1 and "/cmd_vel: no command for 0.5 s" in lines[0]
     for _ in range(2):
-        commands.take(twist(np.array([0.5, 0.0, 0.0]), np.array([0.0, 0.0, np.nan])), 2_000_000_000)
+        commands.take(twist(0.5, np.nan), 2_000_000_000)
         assert not commands.action(2_000_000_000).any()
     assert len(lines) == 2 and "nan" in lines[1]
-    commands.take(twist(np.array([0.2, 0.0, 0.0]), np.zeros(3)), 3_000_000_000)
+    commands.take(twist(0.2, 0.0), 3_000_000_000)
     assert commands.action(3_000_000_000).tolist() == [0.2, 0.0]
 
 
@@ -132,6 +133,8 @@ def test_a_robot_follows_twists_and_stops_without_them(stage: Any) -> None:
         for message in driven.board.written["/clock"]
     ]
     assert stamps == list(range(101))
+    # Drivers choose their time when they find the other topics.
+    assert next(iter(driven.board.written)) == "/clock"
 
 
 def test_stamped_commands_and_several_robots(stage: Any) -> None:

@@ -113,6 +113,11 @@ def test_each_world_has_a_map_of_the_stated_size(
         assert len(picture.convert("RGB").getcolors(2**20)) > 100
 
 
+def test_names_of_folders_are_no_markup(call: Call, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call("+world=flat", "view=map", COARSE, "out='maps[/b]'") == 0
+    assert capsys.readouterr().out == "Written: maps[/b]/flat_map.png\n"
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["glb", "obj"])
 def test_an_imported_world_has_a_map(kind: str, call: Call, folder: Path) -> None:

@@ -9,12 +9,13 @@ from dune_rl.commands import command_line
 from dune_rl.config.build import make_simulation
 from dune_rl.config.commands import GazeboConf
 from dune_rl.config.compose import compose
+from dune_rl.config.endless import without_ends
 from dune_rl.core.paths import file_stem
 from dune_rl.core.version import VERSION
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.gazebo.episode import is_recorded
 from dune_rl.gazebo.folder import check_folder, write_aside
-from dune_rl.gazebo.robot import WrittenRobot
+from dune_rl.gazebo.robot.files import WrittenRobot
 from dune_rl.gazebo.scene import SURFACES, WORLD, WrittenScene, write_robots, write_scene
 
 # Where a robot is exported without a world.
@@ -34,7 +35,8 @@ def export_scene(conf: GazeboConf, *, with_world: bool, with_robots: bool) -> No
     assert conf.out is not None
     out = Path(conf.out)
     check_folder(out, overwrite=conf.overwrite)
-    simulation = make_simulation(_without_ends(conf), 1, conf.seed)
+    # The robots stand while the actors are recorded.
+    simulation = make_simulation(without_ends(conf), 1, conf.seed)
     try:
         simulation.reset()
         with write_aside(out, _manifest(conf), overwrite=conf.overwrite) as folder:
@@ -51,18 +53,7 @@ def export_scene(conf: GazeboConf, *, with_world: bool, with_robots: bool) -> No
         simulation.close()
     console = command_line.make_console()
     for line in lines:
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
-
-
-def _without_ends(conf: GazeboConf) -> GazeboConf:
-    """The settings with tasks that never end, since the robots stand while the actors are recorded."""
-    agents = {
-        group.name: conf.agents[group.name].model_copy(
-            update={"task": group.task and group.task.model_copy(update={"terminations": {}})}
-        )
-        for group in conf.groups
-    }
-    return conf.model_copy(update={"agents": agents})
+        command_line.print_line(console, line)
 
 
 def _manifest(conf: GazeboConf) -> dict[str, object]:

@@ -83,7 +83,7 @@ def export_policy(conf: PolicyConf) -> None:
     ]
     console = command_line.make_console()
     for line in lines:
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
+        command_line.print_line(console, line)
 
 
 def _compared(out: Path, acting: ActingNetwork, spec: PolicySpec) -> str:

@@ -13,9 +13,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
-from scipy.spatial.transform import Rotation
 
 from dune_rl.geometry.arrays import Array, Floats
+from dune_rl.geometry.frames import quaternions
 
 _MAGIC, _VERSION, _JSON, _BINARY = 0x46546C67, 2, 0x4E4F534A, 0x004E4942
 _FLOAT, _USHORT = 5126, 5123
@@ -45,12 +45,6 @@ class Surface:
     opacity: float = 1.0
     gain: float = 1.0
     two_sided: bool = False
-
-
-def quaternions(rotations: Array) -> Array:
-    """Unit quaternions (..., 4), xyzw with w of at least 0, of rotation matrices (..., 3, 3)."""
-    found: Array = Rotation.from_matrix(rotations).as_quat(canonical=True)
-    return found
 
 
 class GltfFile:

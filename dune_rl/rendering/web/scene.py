@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.geometry.arrays import Array
+from dune_rl.geometry.frames import quaternions
 from dune_rl.rendering.baked_scenery import BakedScenery
 from dune_rl.rendering.light import Light, linear_to_srgb
 from dune_rl.rendering.moving_mesh import PosedMesh, RayMesh
 from dune_rl.rendering.participating_media import ParticipatingMedia
-from dune_rl.rendering.scenery import ColouredMesh
-from dune_rl.rendering.web.gltf import GltfFile, Surface, quaternions
+from dune_rl.rendering.web.gltf import GltfFile, Surface
 from dune_rl.rendering.web.server import Server
 from dune_rl.rendering.web.surfaces import body_surfaces, sky_surface, world_surfaces
 
@@ -84,8 +84,8 @@ class WebScene:
     def _light_bodies(self, light: Light) -> None:
         """Sun and sky as `Light.shade` has them: three.js divides light by pi where surfaces reflect it."""
         sun, sun_strength = _colour_and_strength(light.sun)
-        sky, sky_strength = _colour_and_strength(0.55 * light.zenith + 0.25 * light.horizon)
-        ground = _bytes(0.10 * light.sun / sky_strength)
+        sky, sky_strength = _colour_and_strength(light.from_sky)
+        ground = _bytes(light.from_ground / sky_strength)
         scene = self._server.scene
         scene.add_light_directional(
             "/lights/sun",
@@ -136,7 +136,7 @@ class WebScene:
         meshes = self._parts[name].meshes
         if mesh not in meshes:
             path = f"/bodies/{name}/mesh_{len(meshes)}"
-            meshes[mesh] = scene.add_glb(path, _glb_of(mesh.shape), visible=False)
+            meshes[mesh] = scene.add_glb(path, _glb(body_surfaces(mesh.shape)), visible=False)
 
     def show_lines(self, name: str, ends: Array, colour: Colour, width: float = 2.0) -> None:
         """Show line segments (N, 2, 3) [m] in one colour, `width` in pixels."""
@@ -187,10 +187,6 @@ def _glb(surfaces: Sequence[Surface]) -> bytes:
     file = GltfFile(y_up=False)
     file.add_node("mesh", file.add_mesh(surfaces))
     return file.to_bytes()
-
-
-def _glb_of(shape: ColouredMesh) -> bytes:
-    return _glb(body_surfaces(shape))
 
 
 def _set(node: Any, *, visible: bool) -> None:

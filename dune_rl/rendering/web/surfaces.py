@@ -129,18 +129,17 @@ def _props(baked: BakedScenery, paint: _Paint) -> list[Surface]:
     for number, picture in enumerate(props.texture.pictures):
         its = dry & textured & (props.texture.picture == number)
         if its.any():
-            uv = _uv(corners[its], props.texture.maps[its])
+            uv = _gltf_uv(props.texture.uv(its, corners[its]))
             found.append(
                 Surface(corners[its], light[its], picture, uv, lit=False, gain=paint.gain, two_sided=True)
             )
     return found
 
 
-def _uv(corners: Array, maps: Array) -> Floats:
-    """Coordinates (F, 3, 2) of corners (F, 3, 3), whose maps count v from a picture's lower edge."""
-    uv = np.einsum("fux,fkx->fku", maps[..., :3], corners) + maps[:, None, :, 3]
-    # Near the origin, where 32-bit numbers are exact.
-    uv -= np.floor(uv.min(axis=1, keepdims=True))
+def _gltf_uv(uv: Array) -> Floats:
+    """Coordinates (F, 3, 2) as glTF has them: v from a picture's upper edge, and near the origin."""
+    # Where 32-bit numbers are exact.
+    uv = uv - np.floor(uv.min(axis=1, keepdims=True))
     uv[..., 1] = 1.0 - uv[..., 1]
     return uv.astype(np.float32)
 

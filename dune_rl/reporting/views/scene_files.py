@@ -10,8 +10,9 @@ from dune_rl.core.files import write_atomically
 from dune_rl.env.live.view import SceneView
 from dune_rl.env.pictures import Pictures
 from dune_rl.geometry.arrays import Array
+from dune_rl.geometry.frames import quaternions
 from dune_rl.rendering.moving_mesh import PosedMesh, RayMesh
-from dune_rl.rendering.web.gltf import GltfFile, quaternions
+from dune_rl.rendering.web.gltf import GltfFile
 from dune_rl.rendering.web.scene import WebScene, name_parts
 from dune_rl.rendering.web.server import LOCALHOST, open_server, stop_server
 from dune_rl.rendering.web.surfaces import body_surfaces, world_surfaces

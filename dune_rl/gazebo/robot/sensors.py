@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from xml.etree.ElementTree import Element
 
 import numpy as np
+from trimesh.transformations import euler_matrix
 
 from dune_rl.gazebo.elements import add, words
 from dune_rl.geometry.arrays import Array
-from dune_rl.geometry.frames import rotation_from_angles
 from dune_rl.sensors.beams import bearings
 from dune_rl.sensors.camera import CameraConf
 from dune_rl.sensors.imu import ImuConf
@@ -23,19 +23,11 @@ _NEAREST_M = 0.02
 
 @dataclass(frozen=True, eq=False)
 class MountedSensor:
-    """The <sensor> called `name`, at `position` (3,) [m] with `rotation` (3, 3) on the base link."""
+    """The <sensor> called `name`, at `pose` (4, 4) on the base link."""
 
     name: str
     element: Element
-    position: Array
-    rotation: Array
-
-    @property
-    def pose(self) -> Array:
-        """Position and rotation as a matrix (4, 4)."""
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = self.rotation, self.position
-        return pose
+    pose: Array
 
 
 def make_sensors(
@@ -44,7 +36,7 @@ def make_sensors(
     """The sensors that Gazebo has, read every control step of `step_s` or slower, and names of the others."""
     found, others = [], []
     for name, conf in sensors.items():
-        every = 1 if conf.realism is None else conf.realism.steps(step_s)[0]
+        every, _ = conf.steps(step_s)
         period_s = every * step_s
         pitch_rad = 0.0
         match conf:
@@ -62,8 +54,9 @@ def make_sensors(
             case _:
                 others.append(name)
                 continue
-        rotation = rotation_from_angles(np.array([0.0, pitch_rad, 0.0]))
-        found.append(MountedSensor(name, element, mount_position(getattr(conf, "mount_b", None)), rotation))
+        pose = euler_matrix(0.0, pitch_rad, 0.0)
+        pose[:3, 3] = mount_position(getattr(conf, "mount_b", None))
+        found.append(MountedSensor(name, element, pose))
     return found, others
 
 

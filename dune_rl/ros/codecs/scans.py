@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from dune_rl.geometry.arrays import Floats
-from dune_rl.ros.codecs import Channel, MessageError, SensorCodec, Source, Stamp, topic_of, yaw_on_base
+from dune_rl.ros.codecs.codec import Channel, MessageError, SensorCodec, Source, Stamp, topic_of, yaw_on_base
 from dune_rl.ros.transforms import FrameMount, TransformTree
-from dune_rl.sensors.beams import bearings, fan
+from dune_rl.sensors.beams import bearings
 from dune_rl.sensors.lidar import LidarConf
 from dune_rl.sensors.lidar_3d import Lidar3dConf
 from dune_rl.sensors.sensor import Reading
@@ -30,7 +30,7 @@ class ScanCodec(SensorCodec):
         self._topic, self._frame = topic_of(name, "lidar", "scan"), f"{name}_link"
         self.channels = (Channel(self._topic, _SCAN),)
         self.mounts = (FrameMount.on_base(self._frame, conf.mount_b),)
-        self.sources = {name: Source(self._topic, (_SCAN,))}
+        self.sources = {name: (Source(self._topic, (_SCAN,)),)}
         angles = bearings(float(np.deg2rad(conf.fov_deg)), conf.n_beams)
         self._first = float(angles[0])
         self._step = float(angles[1] - angles[0]) if conf.n_beams > 1 else float(np.deg2rad(conf.fov_deg))
@@ -109,12 +109,8 @@ class CloudCodec(SensorCodec):
         self._topic, self._frame = topic_of(name, "lidar_3d", "points"), f"{name}_link"
         self.channels = (Channel(self._topic, _CLOUD),)
         self.mounts = (FrameMount.on_base(self._frame, conf.mount_b),)
-        self.sources = {f"{name}_{output}": Source(self._topic, (_CLOUD,)) for output in conf.outputs}
-        highest, lowest, fov = np.deg2rad(
-            [conf.highest_elevation_deg, conf.lowest_elevation_deg, conf.fov_deg]
-        )
-        elevation = np.linspace(highest, lowest, conf.n_rings)
-        self._directions = fan(bearings(fov, conf.n_beams), elevation).astype(np.float32)
+        self.sources = {f"{name}_{output}": (Source(self._topic, (_CLOUD,)),) for output in conf.outputs}
+        self._directions = conf.directions().astype(np.float32)
         self._others = [output for output in conf.outputs if output != _RANGE]
         kinds: dict[str, str] = {
             output: "u1" if output == "segmentation" else "f4" for output in self._others

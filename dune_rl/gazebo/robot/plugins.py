@@ -4,7 +4,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from dune_rl.gazebo.elements import add, words
+from dune_rl.gazebo.elements import add, make_system, words
 from dune_rl.physics.motors import Motor
 from dune_rl.robots.robot import Robot, RobotDescription, WheelLayout
 
@@ -18,20 +18,16 @@ def make_plugins(robot: Robot) -> list[Element]:
     """
     description, motors = robot.description, robot.body.motors
     wheels = description.wheels
-    states = _plugin("JointStatePublisher", "joint-state-publisher")
+    states = make_system("JointStatePublisher", "joint-state-publisher")
     if wheels is not None and wheels.steering is None:
         return [_differential_drive(description, wheels, motors), states]
     return [*(_controller(motor) for motor in motors), states]
 
 
-def _plugin(name: str, library: str) -> Element:
-    return Element("plugin", filename=f"gz-sim-{library}-system", name=f"gz::sim::systems::{name}")
-
-
 def _differential_drive(
     description: RobotDescription, wheels: WheelLayout, motors: tuple[Motor, ...]
 ) -> Element:
-    element = _plugin("DiffDrive", "diff-drive")
+    element = make_system("DiffDrive", "diff-drive")
     for tag, side in (("left_joint", wheels.left), ("right_joint", wheels.right)):
         for index in side:
             add(element, tag, motors[index].joint)
@@ -56,11 +52,11 @@ def _differential_drive(
 def _controller(motor: Motor) -> Element:
     """A controller of a joint's speed or angle, which begins with the motor's command at rest."""
     if motor.mode == "velocity":
-        element = _plugin("JointController", "joint-controller")
+        element = make_system("JointController", "joint-controller")
         add(element, "joint_name", motor.joint)
         add(element, "initial_velocity", words([motor.rest_command]))
         return element
-    element = _plugin("JointPositionController", "joint-position-controller")
+    element = make_system("JointPositionController", "joint-position-controller")
     add(element, "joint_name", motor.joint)
     add(element, "initial_position", words([motor.rest_command]))
     add(element, "use_velocity_commands", True)

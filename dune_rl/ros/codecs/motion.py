@@ -7,8 +7,17 @@ import numpy as np
 
 from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.frames import roll_pitch_yaw, rotation_from_angles, rotation_from_yaw, wrap_angle
-from dune_rl.ros.codecs import ARRAYS, ArrayCodec, Channel, MessageError, SensorCodec, Source, Stamp, topic_of
-from dune_rl.ros.transforms import BASE, ODOM, FrameMount, TransformTree, is_rotation, rotation_of
+from dune_rl.ros.codecs.codec import (
+    ARRAYS,
+    ArrayCodec,
+    Channel,
+    MessageError,
+    SensorCodec,
+    Source,
+    Stamp,
+    topic_of,
+)
+from dune_rl.ros.transforms import BASE, ODOM, FrameMount, Pose, TransformTree, is_rotation, rotation_of
 from dune_rl.sensors.imu import ImuConf
 from dune_rl.sensors.sensor import Reading
 
@@ -25,7 +34,7 @@ class ImuCodec(SensorCodec):
         self._limits = conf.acceleration_range_mps2, conf.angular_range_radps
         self.channels = (Channel(self._topic, _IMU),)
         self.mounts = (FrameMount.on_base(self._frame, conf.mount_b),)
-        self.sources = {name: Source(self._topic, (_IMU,))}
+        self.sources = {name: (Source(self._topic, (_IMU,)),)}
 
     def encode(self, stamp: Stamp, readings: Mapping[str, Reading]) -> Iterator[tuple[str, Any]]:
         types, values = stamp.types, readings[self._name].astype(np.float64)
@@ -74,16 +83,16 @@ class OdometryCodec(SensorCodec):
     def __init__(self, name: str) -> None:
         self._name, self._topic = name, topic_of(name, "odometry", "odom")
         self.channels = (Channel(self._topic, _ODOMETRY),)
-        self.sources = {name: Source(self._topic, (_ODOMETRY,))}
+        self.sources = {name: (Source(self._topic, (_ODOMETRY,)),)}
 
     def encode(self, stamp: Stamp, readings: Mapping[str, Reading]) -> Iterator[tuple[str, Any]]:
-        values = readings[self._name].astype(np.float64)
-        twist = np.array([values[3], 0.0, 0.0]), np.array([0.0, 0.0, values[4]])
-        frame = topic_of(self._name, "odometry", ODOM)
-        message = stamp.types.odometry(
-            stamp.header(frame), stamp.namespace + BASE, planar_pose(values[:3]), twist
+        x, y, yaw, speed, turn = readings[self._name].tolist()
+        header = stamp.header(topic_of(self._name, "odometry", ODOM))
+        twist = stamp.types.planar_twist(speed, turn)
+        yield (
+            self._topic,
+            stamp.types.odometry(header, stamp.namespace + BASE, planar_pose(x, y, yaw), twist),
         )
-        yield self._topic, message
 
     def decode(self, reading: str, message: Any, frames: TransformTree, base: str) -> Reading:
         at, twist = message.pose.pose, message.twist.twist
@@ -92,9 +101,9 @@ class OdometryCodec(SensorCodec):
         return np.array(found, np.float32)
 
 
-def planar_pose(pose: Array) -> tuple[Array, Array]:
-    """Position (3,) and rotation (3, 3) of x, y [m] and yaw [rad]."""
-    return np.array([pose[0], pose[1], 0.0]), rotation_from_yaw(np.asarray(pose[2]))
+def planar_pose(x: float, y: float, yaw: float) -> Pose:
+    """The pose at x, y [m] and yaw [rad] on the ground."""
+    return Pose(np.array([x, y, 0.0]), rotation_from_yaw(np.asarray(yaw)))
 
 
 class VelocityCodec(SensorCodec):
@@ -103,11 +112,10 @@ class VelocityCodec(SensorCodec):
     def __init__(self, name: str) -> None:
         self._name, self._topic = name, topic_of(name, "velocity", "velocity")
         self.channels = (Channel(self._topic, _TWIST),)
-        self.sources = {name: Source(self._topic, (_TWIST, _ODOMETRY, _PLAIN_TWIST))}
+        self.sources = {name: (Source(self._topic, (_TWIST, _ODOMETRY, _PLAIN_TWIST)),)}
 
     def encode(self, stamp: Stamp, readings: Mapping[str, Reading]) -> Iterator[tuple[str, Any]]:
-        speed, turn = readings[self._name].tolist()
-        twist = stamp.types.twist(np.array([speed, 0.0, 0.0]), np.array([0.0, 0.0, turn]))
+        twist = stamp.types.planar_twist(*readings[self._name].tolist())
         yield self._topic, stamp.types.make(_TWIST, header=stamp.header(BASE), twist=twist)
 
     def decode(self, reading: str, message: Any, frames: TransformTree, base: str) -> Reading:
@@ -125,8 +133,8 @@ class GoalCodec(ArrayCodec):
 
     def __init__(self, name: str) -> None:
         super().__init__({name: ((_GOAL_SIZE,), np.float32)})
-        self.sources = {name: Source(f"observation/{name}", (ARRAYS[0], _POSE))}
-        self.others = {name: Source("goal_pose", (_POSE,))}
+        known = Source(f"observation/{name}", (ARRAYS[0], _POSE))
+        self.sources = {name: (known, Source("goal_pose", (_POSE,)))}
 
     def decode(self, reading: str, message: Any, frames: TransformTree, base: str) -> Reading:
         if not hasattr(message, "pose"):

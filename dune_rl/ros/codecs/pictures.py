@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from dune_rl.ros.codecs import Channel, MessageError, SensorCodec, Source, Stamp
-from dune_rl.ros.transforms import OPTICAL, FrameMount, TransformTree
+from dune_rl.ros.codecs.codec import Channel, MessageError, SensorCodec, Source, Stamp
+from dune_rl.ros.transforms import OPTICAL, FrameMount, Pose, TransformTree
 from dune_rl.sensors.camera import CameraConf
 from dune_rl.sensors.lens import Lens
 from dune_rl.sensors.sensor import Reading
@@ -37,7 +37,7 @@ class CameraCodec(SensorCodec):
         pitch = float(np.deg2rad(conf.pitch_deg or 0.0))
         self.mounts = (
             FrameMount.on_base(link, conf.mount_b, pitch),
-            FrameMount(link, self._frame, np.zeros(3), OPTICAL),
+            FrameMount(link, self._frame, Pose(np.zeros(3), OPTICAL)),
         )
         self.channels = tuple(
             Channel(f"{name}/{output}/{topic}", kind)
@@ -45,7 +45,7 @@ class CameraCodec(SensorCodec):
             for topic, kind in (("image_raw", _IMAGE), ("camera_info", _INFO))
         )
         self.sources = {
-            f"{name}_{output}": Source(f"{name}/{output}/image_raw", (_IMAGE,)) for output in conf.outputs
+            f"{name}_{output}": (Source(f"{name}/{output}/image_raw", (_IMAGE,)),) for output in conf.outputs
         }
         self._info = _intrinsics(conf)
 

@@ -2,10 +2,10 @@
 
 from collections.abc import Mapping
 
-from dune_rl.ros.codecs import ArrayCodec, SensorCodec
-from dune_rl.ros.motion import GoalCodec, ImuCodec, OdometryCodec, VelocityCodec
-from dune_rl.ros.pictures import CameraCodec
-from dune_rl.ros.scans import CloudCodec, ScanCodec
+from dune_rl.ros.codecs.codec import ArrayCodec, SensorCodec
+from dune_rl.ros.codecs.motion import GoalCodec, ImuCodec, OdometryCodec, VelocityCodec
+from dune_rl.ros.codecs.pictures import CameraCodec
+from dune_rl.ros.codecs.scans import CloudCodec, ScanCodec
 from dune_rl.sensors.camera import CameraConf
 from dune_rl.sensors.imu import ImuConf
 from dune_rl.sensors.lidar import LidarConf
@@ -23,7 +23,7 @@ def make_codec(
     if standard:
         match conf:
             case LidarConf():
-                every = 1 if conf.realism is None else conf.realism.steps(step_s)[0]
+                every, _ = conf.steps(step_s)
                 return ScanCodec(name, conf, every * step_s)
             case Lidar3dConf() if "range" in conf.outputs:
                 return CloudCodec(name, conf)

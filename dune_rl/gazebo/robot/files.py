@@ -9,10 +9,10 @@ from xml.etree.ElementTree import Comment, Element
 from dune_rl.core.version import VERSION
 from dune_rl.gazebo.elements import SDF_VERSION, add, add_pose, document_text, make_sdf, words
 from dune_rl.gazebo.mesh_folder import MeshFolder
-from dune_rl.gazebo.robot_bodies import RobotBodies, lowest_point
-from dune_rl.gazebo.robot_plugins import make_plugins
-from dune_rl.gazebo.robot_sensors import MountedSensor, make_sensors
-from dune_rl.gazebo.world import add_material, add_surface
+from dune_rl.gazebo.robot.bodies import RobotBodies, lowest_point
+from dune_rl.gazebo.robot.plugins import make_plugins
+from dune_rl.gazebo.robot.sensors import MountedSensor, make_sensors
+from dune_rl.gazebo.world import add_friction, add_material, add_surface
 from dune_rl.robots.robot import Robot
 from dune_rl.robots.urdf.bodies import RigidBody
 from dune_rl.robots.urdf.elements import write_inertial, write_joint, write_origin, write_shape
@@ -77,7 +77,7 @@ def _make_model(
         if body.joint is None:
             for sensor in sensors:
                 element = deepcopy(sensor.element)
-                add_pose(element, sensor.position, sensor.rotation)
+                add_pose(element, sensor.pose[:3, 3], sensor.pose[:3, :3])
                 link.append(element)
     for body in parts:
         if body.joint is not None:
@@ -176,7 +176,8 @@ def _make_urdf(
         write_origin(joint, sensor.pose)
         add(root, "gazebo", reference=link_name).append(deepcopy(sensor.element))
     for body in parts:
-        _write_friction(root, body.name, bodies)
+        friction, along_axle = bodies.friction(body.name), bodies.friction_along_axle(body.name)
+        add_friction(add(root, "gazebo", reference=body.name), "mu1", friction, along_axle)
     gazebo = add(root, "gazebo")
     gazebo.extend(deepcopy(plugin) for plugin in plugins)
     return root
@@ -195,13 +196,3 @@ def _write_joint(root: Element, joint: Joint, bodies: RobotBodies) -> None:
     for coupling in bodies.body.couplings:
         if joint.name == coupling.follower:
             add(element, "mimic", joint=coupling.leader, multiplier=words([coupling.ratio]))
-
-
-def _write_friction(root: Element, link: str, bodies: RobotBodies) -> None:
-    """Add a link's friction, as `add_surface` does in SDF."""
-    gazebo = add(root, "gazebo", reference=link)
-    rolling, along_axle = bodies.friction(link), bodies.friction_along_axle(link)
-    add(gazebo, "mu1", words([rolling if along_axle is None else along_axle]))
-    add(gazebo, "mu2", words([rolling]))
-    if along_axle is not None:
-        add(gazebo, "fdir1", "0 1 0")

@@ -1,4 +1,4 @@
-"""Sensors as messages, and their readings out of messages: what codecs share, and which sensor has which."""
+"""What codecs of sensors share: topics, stamps, arrays, and where a sensor is turned to."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from dune_rl.core.errors import ConfigError
+from dune_rl.geometry.frames import roll_pitch_yaw
 from dune_rl.ros.library import MessageTypes
 from dune_rl.ros.transforms import FrameMount, TransformTree
 from dune_rl.sensors.sensor import Reading
@@ -49,14 +50,13 @@ class Source:
 class SensorCodec:
     """Base of codecs: one sensor's readings as messages, both ways.
 
-    `channels` are what it writes, `mounts` its fixed frames, and `sources` where each reading comes from;
-    `others` have another source for readings of which nothing else is there.
+    `channels` are what it writes, `mounts` its fixed frames, and `sources` where each reading comes from, the
+    best one first.
     """
 
     channels: tuple[Channel, ...]
     mounts: tuple[FrameMount, ...] = ()
-    sources: Mapping[str, Source]
-    others: Mapping[str, Source] = {}
+    sources: Mapping[str, tuple[Source, ...]]
 
     def encode(self, stamp: Stamp, readings: Mapping[str, Reading]) -> Iterator[tuple[str, Any]]:
         """Topics and messages of one robot's `readings`, by name."""
@@ -78,7 +78,7 @@ class ArrayCodec(SensorCodec):
         self._shapes = dict(shapes)
         kinds = {name: ARRAYS[dtype == np.uint8] for name, (_, dtype) in shapes.items()}
         self.channels = tuple(Channel(f"observation/{name}", kind) for name, kind in kinds.items())
-        self.sources = {name: Source(f"observation/{name}", (kind,)) for name, kind in kinds.items()}
+        self.sources = {name: (Source(f"observation/{name}", (kind,)),) for name, kind in kinds.items()}
 
     def encode(self, stamp: Stamp, readings: Mapping[str, Reading]) -> Iterator[tuple[str, Any]]:
         for name in self._shapes:
@@ -106,5 +106,4 @@ def yaw_on_base(frame: str, frames: TransformTree, base: str) -> float:
         raise MessageError(
             f"its frame {frame!r} has no transform to {base!r} in /tf_static; record that, or give base=FRAME"
         )
-    forward = pose[1][:, 0]
-    return float(np.arctan2(forward[1], forward[0]))
+    return float(roll_pitch_yaw(pose.rotation)[2])

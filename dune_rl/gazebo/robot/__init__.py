@@ -1,0 +1,1 @@
+"""A robot as a model of Gazebo: bodies, sensors, the systems that drive it, and its files."""
