@@ -1,6 +1,7 @@
 """Mesh files that are damaged or hostile: refused in words, or mended with a warning."""
 
 import json
+import math
 import os
 import struct
 
@@ -80,10 +81,17 @@ def test_counts_that_a_file_does_not_hold_are_refused(tmp_path):
             * 99
         )
         refused(ply, "claims 4000000000 items of 'vertex'")
+
+
+@pytest.mark.parametrize(
+    ("count", "message"),
+    [(4_000_000_000, "an accessor claims 4000000000 items"), (math.inf, "cannot convert float infinity")],
+)
+def test_counts_that_a_glb_does_not_hold_are_refused(tmp_path, count, message):
     header = json.dumps(
         {
             "asset": {"version": "2.0"},
-            "accessors": [{"componentType": 5126, "count": 4_000_000_000, "type": "VEC3"}],
+            "accessors": [{"componentType": 5126, "count": count, "type": "VEC3"}],
             "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
             "nodes": [{"mesh": 0}],
             "scenes": [{"nodes": [0]}],
@@ -92,7 +100,7 @@ def test_counts_that_a_file_does_not_hold_are_refused(tmp_path):
     header += b" " * (-len(header) % 4)
     glb = tmp_path / "claim.glb"
     glb.write_bytes(struct.pack("<IIIII", 0x46546C67, 2, 20 + len(header), len(header), 0x4E4F534A) + header)
-    refused(glb, "an accessor claims 4000000000 items")
+    refused(glb, message)
 
 
 def glb_with_nodes(path, nodes) -> None:

@@ -238,7 +238,10 @@ def _check_glb(data: bytes, name: str) -> None:
         if not all(math.isfinite(x) for node in nodes for key in keys for x in node.get(key, ())):
             raise ValueError("a node's pose is not finite")
         _refuse_many_instances(header)
-    except (LookupError, TypeError, ValueError, AttributeError, struct.error, RecursionError) as error:
+    except (
+        *(LookupError, TypeError, ValueError, AttributeError, ArithmeticError),
+        *(struct.error, RecursionError),
+    ) as error:
         fault = f"is no GLB mesh that can be read ({first_line(error)}): export it again."
         raise WorldError(f"{name} {fault}") from None
 
