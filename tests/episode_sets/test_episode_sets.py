@@ -25,7 +25,13 @@ from dune_rl.evaluation.episode_sets.apply import (
     plan_of_set,
     settings_on_set,
 )
-from dune_rl.evaluation.episode_sets.files import read_episode_set, set_names, sets_folder, write_episode_set
+from dune_rl.evaluation.episode_sets.files import (
+    checksum,
+    read_episode_set,
+    set_names,
+    sets_folder,
+    write_episode_set,
+)
 from dune_rl.evaluation.episode_sets.recipes import (
     FAMILIES,
     V1,
@@ -187,6 +193,10 @@ def test_a_changed_set_is_refused(tmp_path: Path) -> None:
         read_episode_set(str(file))
     rows.write_text(kept)
     header = json.loads(file.read_text())
+    many = {**header, "episodes": 10**12}
+    file.write_text(json.dumps({**many, "sha256": checksum(many, kept)}))
+    with pytest.raises(ConfigError, match="must have the episodes 0 to 999999999999"):
+        read_episode_set(str(file))
     header["settings"]["actors"] = {}
     file.write_text(json.dumps(header))
     with pytest.raises(ConfigError, match="a changed set needs a name and a file of its own"):

@@ -170,7 +170,8 @@ def read_episode_set(name: str) -> EpisodeSet:
             f"{header.sha256[:12]}...\nCopy the set again; a changed set needs a name and a file of its own."
         )
     episodes = _parse_rows(rows_text, rows_file)
-    if [one.episode for one in episodes] != list(range(header.episodes)):
+    numbers = [one.episode for one in episodes]
+    if len(numbers) != header.episodes or numbers != list(range(len(numbers))):
         raise ConfigError(f"{rows_file} must have the episodes 0 to {header.episodes - 1}, one a line")
     return EpisodeSet(header, episodes, file.parent)
 
