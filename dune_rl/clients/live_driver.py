@@ -57,7 +57,7 @@ class SpeedLimits:
         self._conf = conf
         self._speed_mps = 0.0
 
-    def limited(self, speed_mps: float, yaw_rate_radps: float, passed_s: float) -> tuple[float, float]:
+    def limit(self, speed_mps: float, yaw_rate_radps: float, passed_s: float) -> tuple[float, float]:
         """The command `passed_s` after the last one."""
         conf = self._conf
         speed = _within(speed_mps, conf.max_speed_mps)
@@ -240,7 +240,7 @@ class LiveDriver:
         return self._is_at_goal
 
     def _command(self, action: Array, passed_s: float) -> None:
-        speed, turn = self._limits.limited(*twist_of_action(self._vehicle, action), passed_s)
+        speed, turn = self._limits.limit(*twist_of_action(self._vehicle, action), passed_s)
         if self._conf.dry_run:
             time_s = self._readings.now_ns / NS_PER_S
             self._report(f"{time_s:.2f} s: {speed:.3f} m/s, {turn:.3f} rad/s")

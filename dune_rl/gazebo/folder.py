@@ -38,10 +38,11 @@ def _entries_of(out: Path) -> list[str]:
 
 
 @contextmanager
-def write_aside(out: Path, told: Mapping[str, Any], *, overwrite: bool) -> Iterator[Path]:
+def write_aside(out: Path, manifest: Mapping[str, Any], *, overwrite: bool) -> Iterator[Path]:
     """An empty folder beside `out` that takes its place when the block ends, and goes where the block fails.
 
-    `told` is written into its manifest. Raises ConfigError if `out` holds something that must stay.
+    A file in it has the `manifest` and names its other entries. Raises ConfigError if `out` holds something
+    that must stay.
     """
     check_folder(out, overwrite=overwrite)
     # A link stays one, and its target is what is on the same file system.
@@ -54,8 +55,8 @@ def write_aside(out: Path, told: Mapping[str, Any], *, overwrite: bool) -> Itera
         new.mkdir()
         yield new
         entries = sorted(each.name for each in new.iterdir())
-        manifest = json.dumps({**told, _ENTRIES: entries}, indent=2) + "\n"
-        (new / MANIFEST).write_text(manifest, encoding="utf-8")
+        text = json.dumps({**manifest, _ENTRIES: entries}, indent=2) + "\n"
+        (new / MANIFEST).write_text(text, encoding="utf-8")
         check_folder(out, overwrite=overwrite)
         if place.exists():
             place.rename(old)

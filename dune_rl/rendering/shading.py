@@ -27,6 +27,15 @@ def _weigh(grid: Any, at: Any, corner: Any, per_m: Any, weights: Any) -> tuple[i
 
 
 @compile_function
+def _mix(grid: Any, top: int, left: int, weights: Any, found: Any) -> None:
+    """Fill `found` (3,) with the mean of four texels of `grid` (R, C, 3) by their `weights`."""
+    for axis in range(3):
+        upper = grid[top, left, axis] * weights[0] + grid[top, left + 1, axis] * weights[1]
+        lower = grid[top + 1, left, axis] * weights[2] + grid[top + 1, left + 1, axis] * weights[3]
+        found[axis] = upper + lower
+
+
+@compile_function
 def sample_ground(
     points: Any,
     chosen: Any,
@@ -47,15 +56,9 @@ def sample_ground(
     weights = np.empty(4, np.float32)
     for k in chosen:
         top, left = _weigh(colours, points[k], corner, per_m, weights)
-        for axis in range(3):
-            upper = colours[top, left, axis] * weights[0] + colours[top, left + 1, axis] * weights[1]
-            lower = colours[top + 1, left, axis] * weights[2] + colours[top + 1, left + 1, axis] * weights[3]
-            albedo[k, axis] = upper + lower
+        _mix(colours, top, left, weights, albedo[k])
         top, left = _weigh(slopes, points[k], corner, per_m, weights)
-        for axis in range(3):
-            upper = slopes[top, left, axis] * weights[0] + slopes[top, left + 1, axis] * weights[1]
-            lower = slopes[top + 1, left, axis] * weights[2] + slopes[top + 1, left + 1, axis] * weights[3]
-            normals[k, axis] = upper + lower
+        _mix(slopes, top, left, weights, normals[k])
         top, left = _weigh(shares, points[k], corner, per_m, weights)
         upper = shares[top, left] * weights[0] + shares[top, left + 1] * weights[1]
         sky_share[k] = upper + shares[top + 1, left] * weights[2] + shares[top + 1, left + 1] * weights[3]

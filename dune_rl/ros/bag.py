@@ -60,12 +60,12 @@ def check_bags(
 
 
 class EpisodeBag:
-    """A bag that is being written, which takes its place at `path` by `complete`, and else by nothing.
+    """A bag that is being written; `complete` puts it at `path`, in place of one that is there already.
 
-    One that is there already is replaced. `told` is what its metadata say of it.
+    `metadata` are values of JSON that say what was recorded.
     """
 
-    def __init__(self, path: Path, told: Mapping[str, Any]) -> None:
+    def __init__(self, path: Path, metadata: Mapping[str, Any]) -> None:
         from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
         self.types: MessageTypes = message_types()
@@ -75,7 +75,7 @@ class EpisodeBag:
         # Its files are called after the folder in which they are made.
         self._writer = Writer(self._folder / path.name, version=_VERSION, storage_plugin=StoragePlugin.MCAP)
         self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-        self._writer.set_custom_data(CUSTOM_KEY, json.dumps(told))
+        self._writer.set_custom_data(CUSTOM_KEY, json.dumps(metadata))
         self._writer.open()
         self._connections: dict[str, Any] = {}
 
@@ -108,11 +108,11 @@ class EpisodeBag:
             self._path.parent.parent.rmdir()
 
 
-def read_told(reader: Any) -> dict[str, Any]:
-    """What the metadata of a bag say of what was recorded; nothing for bags of others."""
+def read_metadata(reader: Any) -> dict[str, Any]:
+    """What an `EpisodeBag` was given as its metadata; nothing for other bags."""
     text = (reader.storage.metadata.custom or {}).get(CUSTOM_KEY, "{}")
     try:
-        told = json.loads(text)
+        metadata = json.loads(text)
     except ValueError:
-        told = {}
-    return told if isinstance(told, dict) else {}
+        metadata = {}
+    return metadata if isinstance(metadata, dict) else {}

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from dune_rl.core.errors import ConfigError
-from dune_rl.ros.bag import read_told
+from dune_rl.ros.bag import read_metadata
 from dune_rl.ros.library import message_types, require_rosbags
 from dune_rl.ros.readings import POSE, TF, TF_STATIC, ReadingSource, RobotReadings
 from dune_rl.ros.settings import MOST_AGE_S
@@ -37,10 +37,10 @@ class BagReadings:
     ) -> None:
         require_rosbags("reading bags")
         self._path = path
-        with _opened(path) as reader:
+        with _open_bag(path) as reader:
             counts = {topic: info.msgcount for topic, info in reader.topics.items()}
             types = {each.topic: each.msgtype for each in reader.connections if counts[each.topic]}
-            self.told = read_told(reader)
+            self.metadata = read_metadata(reader)
         self._readings = RobotReadings(
             parts, types, topics, origin=str(path), remedy="record one", robot=robot, base=base
         )
@@ -96,15 +96,13 @@ class BagReadings:
         """When the last of the parts has its first message, and the last message of any [ns]."""
         first: dict[str, int] = {}
         last = 0
-        with _opened(self._path) as reader:
+        with _open_bag(self._path) as reader:
             chosen = [each for each in reader.connections if each.topic in self._readings.topics.values()]
             for connection, time_ns, _ in self._records(reader, chosen):
                 first.setdefault(connection.topic, time_ns)
                 last = max(last, time_ns)
         if lost := sorted({*self._readings.topics.values()} - first.keys()):
-            raise ConfigError(
-                f"bag={self._path} is damaged (no message of {lost[0]}); copy or record it again"
-            )
+            raise self._damage(f"no message of {lost[0]}")
         return max(first.values()), last
 
     def _records(self, reader: Any, chosen: Sequence[Any]) -> Iterator[tuple[Any, int, bytes]]:
@@ -113,13 +111,15 @@ class BagReadings:
             # Of no connection, the library means all.
             yield from reader.messages(chosen) if chosen else ()
         except Exception as error:
-            reason = " ".join(str(error).split())
-            raise ConfigError(f"bag={self._path} is damaged ({reason}); copy or record it again") from None
+            raise self._damage(_one_line(error)) from None
+
+    def _damage(self, reason: str) -> ConfigError:
+        return ConfigError(f"bag={self._path} is damaged ({reason}); copy or record it again")
 
     def _messages(self, topics: set[str]) -> Iterator[tuple[str, int, Any]]:
         """Topic, time [ns] and message of what the bag has of `topics`, in order of time."""
         store = message_types().store
-        with _opened(self._path) as reader:
+        with _open_bag(self._path) as reader:
             chosen = [each for each in reader.connections if each.topic in topics]
             for connection, time_ns, data in self._records(reader, chosen):
                 try:
@@ -127,13 +127,17 @@ class BagReadings:
                 except Exception as error:
                     raise ConfigError(
                         f"{self._path}: a message of {connection.topic} ({connection.msgtype}) cannot be "
-                        f"read: {' '.join(str(error).split())}"
+                        f"read: {_one_line(error)}"
                     ) from None
                 yield connection.topic, time_ns, message
 
 
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())
+
+
 @contextmanager
-def _opened(path: Path) -> Iterator[Any]:
+def _open_bag(path: Path) -> Iterator[Any]:
     """A reader of a bag; raises ConfigError where there is none."""
     from rosbags.rosbag2 import Reader
 
@@ -146,10 +150,9 @@ def _opened(path: Path) -> Iterator[Any]:
         reader = Reader(path)
         reader.open()
     except Exception as error:
-        reason = " ".join(str(error).split())
         raise ConfigError(
-            f"bag={path} is no bag that can be read ({reason}); give a rosbag2 folder, an .mcap or a "
-            ".db3 file"
+            f"bag={path} is no bag that can be read ({_one_line(error)}); give a rosbag2 folder, an .mcap or "
+            "a .db3 file"
         ) from None
     try:
         yield reader

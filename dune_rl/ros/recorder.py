@@ -19,15 +19,16 @@ class BagRecorder:
     """Writes a bag of each episode of external agents that ends, into `folder`.
 
     `episodes` are the numbers of those that are run; other scenes rest. With several agents their topics and
-    frames have namespaces, their names. `told` is kept in the metadata of each bag, beside its number.
+    frames have namespaces, their names. Each bag has the `metadata`, beside its number.
     Times are those of the simulation, from 0 at an episode's start.
     """
 
     def __init__(
-        self, simulation: VectorSimulation, folder: Path, episodes: range, told: Mapping[str, Any]
+        self, simulation: VectorSimulation, folder: Path, episodes: range, metadata: Mapping[str, Any]
     ) -> None:
         require_rosbags()
-        self._simulation, self._folder, self._episodes, self._told = simulation, folder, episodes, told
+        self._simulation, self._folder = simulation, folder
+        self._episodes, self._metadata = episodes, metadata
         self._step_s = simulation.physics.control_step_s
         self._topics = SimulationTopics.of(simulation, simulation.physics.action_repeat)
         self._bags: dict[int, EpisodeBag] = {}
@@ -43,7 +44,7 @@ class BagRecorder:
                 # Its episode ended without rows: nobody came.
                 self._close(scene).discard()
             if episode in self._episodes:
-                bag = EpisodeBag(episode_path(self._folder, episode), {**self._told, "episode": episode})
+                bag = EpisodeBag(episode_path(self._folder, episode), {**self._metadata, "episode": episode})
                 self._bags[scene] = bag
                 self._recordings[scene] = SceneRecording(bag, self._topics, scene)
         self._write_states([scene for scene in self._bags if self._simulation.steps[scene] == 0])

@@ -39,7 +39,7 @@ def test_a_frame_holds_the_picture_and_all_panels(size: tuple[int, int], titles:
 def test_text_is_written_at_the_top_of_the_picture_alone() -> None:
     layout = FilmFrame(640, 360, ["map"])
     width, height = layout.picture_size
-    picture, panels = np.full((height, width, 3), 200, np.uint8), {"map": np.zeros((340, 0, 3), np.uint8)}
+    picture = np.full((height, width, 3), 200, np.uint8)
     panels = {"map": np.zeros((*layout.panel_size("map")[::-1], 3), np.uint8)}
     bare = layout.compose(picture, panels, [])
     rows, columns = np.nonzero((layout.compose(picture, panels, ["speed 1 m/s"]) != bare).any(axis=-1))

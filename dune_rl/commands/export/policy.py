@@ -79,14 +79,14 @@ def export_policy(conf: PolicyConf) -> None:
         f"{out}: {group}, {description['policy']}",
         f"inputs: {', '.join(acting.inputs)}",
         f"outputs: {', '.join(acting.outputs)} ({action}), every {interface.decision_s:g} s",
-        _compared(out, acting, saved.spec),
+        _compare(out, acting, saved.spec),
     ]
     console = command_line.make_console()
     for line in lines:
         command_line.print_line(console, line)
 
 
-def _compared(out: Path, acting: ActingNetwork, spec: PolicySpec) -> str:
+def _compare(out: Path, acting: ActingNetwork, spec: PolicySpec) -> str:
     """A line on how far both act alike; raises ConfigError, after removing the file, where they do not."""
     try:
         import onnxruntime
@@ -103,10 +103,10 @@ def _compared(out: Path, acting: ActingNetwork, spec: PolicySpec) -> str:
         given = sample_inputs(acting, spec, _BATCH)
         with torch.no_grad():
             wanted = acting(*given)
-        found = session.run(None, _named(acting, given))
+        found = session.run(None, _inputs_by_name(acting, given))
         for one, other, size in zip(wanted, found, ranges, strict=True):
             most = max(most, float((np.abs(one.numpy() - other) / size).max()))
-    single = _named(acting, sample_inputs(acting, spec, 1))
+    single = _inputs_by_name(acting, sample_inputs(acting, spec, 1))
     torch.set_rng_state(generator_state)
     begun = time.perf_counter()
     for _ in range(_TIMED):
@@ -124,5 +124,5 @@ def _compared(out: Path, acting: ActingNetwork, spec: PolicySpec) -> str:
     )
 
 
-def _named(acting: ActingNetwork, given: Sequence[torch.Tensor]) -> dict[str, Any]:
+def _inputs_by_name(acting: ActingNetwork, given: Sequence[torch.Tensor]) -> dict[str, Any]:
     return {name: value.numpy() for name, value in zip(acting.inputs, given, strict=True)}

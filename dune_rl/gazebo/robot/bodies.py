@@ -59,7 +59,7 @@ class RobotBodies:
         moving = [
             name for name, joint in self.model.joints.items() if joint.kind != "fixed" and name not in fixed
         ]
-        return [self._exported(each) for each in merge_links(self.model, moving, self._sources)]
+        return [self._export_body(each) for each in merge_links(self.model, moving, self._sources)]
 
     def solid_shapes(self, body: RigidBody) -> tuple[ConvexShape, ...]:
         """The shapes of a body that are as wide as it is: of a wheel that has a tyre, that alone."""
@@ -93,7 +93,7 @@ class RobotBodies:
             return JointDynamics(None, None, passive.friction_nm, passive.damping_nms_per_rad)
         return JointDynamics(None, None, 0.0, 0.0)
 
-    def _exported(self, body: RigidBody) -> RigidBody:
+    def _export_body(self, body: RigidBody) -> RigidBody:
         tyre = self._tyres.get(body.name)
         shapes = body.shapes if tyre is None else (*body.shapes, _tyre_shape(tyre))
         return replace(

@@ -164,10 +164,10 @@ class GltfFile:
     def _primitive(self, surface: Surface) -> dict[str, Any]:
         corners = surface.corners.reshape(-1, 3).astype(np.float32)
         colours = np.concatenate([surface.colours, np.ones((len(surface.colours), 1))], axis=1)
-        bytes16 = (np.clip(colours, 0.0, 1.0) * 65535.0 + 0.5).astype(np.uint16)
+        words = (np.clip(colours, 0.0, 1.0) * 65535.0 + 0.5).astype(np.uint16)
         attributes = {
             "POSITION": self._accessor(corners, bounds=True),
-            "COLOR_0": self._accessor(np.repeat(bytes16, 3, axis=0)),
+            "COLOR_0": self._accessor(np.repeat(words, 3, axis=0)),
         }
         if surface.uv is not None:
             attributes["TEXCOORD_0"] = self._accessor(surface.uv.reshape(-1, 2).astype(np.float32))

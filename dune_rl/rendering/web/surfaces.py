@@ -89,7 +89,7 @@ def _ground(baked: BakedScenery, paint: _Paint) -> Surface:
     xmin, xmax, ymin, ymax = baked.terrain.extent
     uv = (vertices[:, :2] - [xmin, ymin]) / [xmax - xmin, ymax - ymin]
     white = np.ones((len(faces), 3), np.float32)
-    picture = paint.picture(_grained(baked.ground))
+    picture = paint.picture(_enlarge_ground(baked.ground))
     # The first row of the ground is at the lowest y.
     return Surface(
         vertices[faces],
@@ -102,7 +102,7 @@ def _ground(baked: BakedScenery, paint: _Paint) -> Surface:
     )
 
 
-def _grained(ground: Bytes) -> Bytes:
+def _enlarge_ground(ground: Bytes) -> Bytes:
     """The picture (rows, columns, 3), enlarged, with the fine noise by which near ground is not a blur."""
     rows, columns = ground.shape[:2]
     scale = max(1, _MOST_TEXELS // max(rows, columns))
