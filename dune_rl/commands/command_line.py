@@ -5,6 +5,7 @@ import errno
 import logging
 import os
 import re
+import shutil
 import signal
 import sys
 import threading
@@ -12,6 +13,7 @@ import warnings
 from argparse import Namespace
 from collections.abc import Callable, Sequence
 from importlib import import_module
+from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -189,6 +191,19 @@ def print_world_notes(console: "Console", conf: "EnvConf", *, fixes_starts: bool
 def print_line(console: "Console", line: str) -> None:
     """Print a line as it is: without colours, markup (names of files may look like it) or line breaks."""
     console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+
+def python_here() -> str:
+    """How a user calls this Python: `python` where that is found first, else its path."""
+    found = shutil.which("python")
+    is_first = found is not None and os.path.abspath(found) == os.path.abspath(sys.executable)
+    return "python" if is_first else shown_path(Path(sys.executable))
+
+
+def shown_path(path: Path) -> str:
+    """A path as it is shown and typed: relative, where it is below the current folder."""
+    below = Path(os.path.abspath(path))
+    return str(below.relative_to(Path.cwd()) if below.is_relative_to(Path.cwd()) else path)
 
 
 def print_error(message: str) -> None:

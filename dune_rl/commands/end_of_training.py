@@ -51,7 +51,9 @@ def film_run(console: Console, conf: Conf, result: "TrainingResult") -> None:
 def show_end(console: Console, conf: Conf, result: "TrainingResult") -> None:
     """Print the last evaluation, the files in the run's folder, and commands to go on with."""
     from dune_rl.evaluation.tables import metric_notes, results_table
+    from dune_rl.learning.checkpoint import BEST_POLICY_FILE, CHECKPOINT_FILE, CONFIG_FILE, LAST_POLICY_FILE
     from dune_rl.learning.policies import go_to_goal_fault
+    from dune_rl.learning.run.log import CURVE_FILE, METRICS_FILE
     from dune_rl.statistics.measures import estimate_metrics
 
     for group, rows in result.evaluation.items():
@@ -62,26 +64,32 @@ def show_end(console: Console, conf: Conf, result: "TrainingResult") -> None:
         notes = metric_notes(conf.metrics, estimates)
         table = results_table({"trained": estimates}, title, num_agents=len(rows) // episodes, notes=notes)
         console.print(table)
-    lines = [f"Files in {result.run_dir}:"]
-    lines += [
-        f"  {path.name}"
-        for path in sorted(result.run_dir.iterdir())
-        if path.suffix in (".png", ".mp4", ".csv", ".pt")
-    ]
+    folder, python = command_line.shown_path(result.run_dir), f"{command_line.python_here()} -m"
+    contents = {
+        FILM_FILE: "an episode of the best policy",
+        CURVE_FILE: "the evaluations so far",
+        METRICS_FILE: "a row for each of them",
+        BEST_POLICY_FILE: "the policy with the best evaluation",
+        LAST_POLICY_FILE: "the latest policy",
+        CHECKPOINT_FILE: "the state of training, to go on with",
+        CONFIG_FILE: "all settings",
+    }
+    lines = [f"Files in {folder}:"]
+    lines += [f"  {name}: {text}" for name, text in contents.items() if (result.run_dir / name).exists()]
     can_go = all(go_to_goal_fault(spec) is None for spec in result.specs.values())
     reference = "go_to_goal" if can_go else "random"
     further = 2 * max(conf.total_frames, result.frames)
     lines += [
         "Try next:",
-        f"  python -m dune_rl.view checkpoint={result.run_dir}",
-        f"  python -m dune_rl.evaluate checkpoint={result.run_dir} episodes=100 seed=1",
-        f"  python -m dune_rl.evaluate checkpoint={result.run_dir} against={reference} episodes=100 seed=1",
-        f"  tensorboard --logdir {result.run_dir.parent}",
-        f"  python -m dune_rl.train resume={result.run_dir} total_frames={further}",
+        f"  {python} dune_rl.view checkpoint={folder}",
+        f"  {python} dune_rl.evaluate checkpoint={folder} episodes=100 seed=1",
+        f"  {python} dune_rl.evaluate checkpoint={folder} against={reference} episodes=100 seed=1",
+        f"  {python} tensorboard.main --logdir {command_line.shown_path(result.run_dir.parent)}",
+        f"  {python} dune_rl.train resume={folder} total_frames={further}",
     ]
     if any(not isinstance(group.body, RobotSettings) for group in conf.external_groups):
         lines.append(
-            f"  python -m dune_rl.evaluate cross_play=true checkpoint={result.run_dir} "
-            f"'populations=[walkers,{result.run_dir}]' episodes=100 seed=1"
+            f"  {python} dune_rl.evaluate cross_play=true checkpoint={folder} "
+            f"'populations=[walkers,{folder}]' episodes=100 seed=1"
         )
     command_line.print_line(console, "\n".join(lines))

@@ -241,13 +241,15 @@ def train(conf: Conf, resume: Path | None = None, words: Sequence[str] = ()) -> 
         owner = describe_owner(error.location, error.group, conf.path_of(error.group))
         what_differs = str(error).splitlines()[0]
         raise CheckpointError(f"{what_differs}\n{owner}" if owner else str(error)) from None
-    command_line.print_line(console, f"Run folder: {run_dir}")
+    shown_dir = command_line.shown_path(run_dir)
+    command_line.print_line(console, f"Run folder: {shown_dir}\nMaking worlds and scenes")
     command_line.print_world_notes(console, conf)
     if trainer.warms_up_throughout:
         command_line.print_error(
             f"note: others drive for all of the {conf.total_frames:,} frames before an update is made; raise "
             "total_frames, or lower learning.learning_starts or learning.demonstrations.frames"
         )
+    go_on = f"go on with {command_line.python_here()} -m dune_rl.train resume={shown_dir}"
     try:
         result = trainer.train()
     except DuneError:
@@ -258,13 +260,11 @@ def train(conf: Conf, resume: Path | None = None, words: Sequence[str] = ()) -> 
         raise
     except KeyboardInterrupt:
         is_saved = (run_dir / CHECKPOINT_FILE).exists()
-        what = f"its last save stays; go on with resume={run_dir}" if is_saved else "nothing of it was saved"
+        what = f"its last save stays; {go_on}" if is_saved else "nothing of it was saved"
         command_line.print_error(f"The run was ended at once: {what}")
         raise
     if result.signal is not None:
-        command_line.print_error(
-            f"Stopped at {result.frames:,} frames and saved; go on with resume={run_dir}"
-        )
+        command_line.print_error(f"Stopped at {result.frames:,} frames and saved; {go_on}")
         _hand_on(result.signal)
         sys.exit(128 + result.signal)
     if conf.film:

@@ -291,7 +291,7 @@ def test_signals_save_and_end(
 
     monkeypatch.setattr(progress, "LineReporter", Interrupting)
     assert call(train.main, "+world=flat", "run_dir=run", *TINY) == code
-    assert "go on with resume=" in capsys.readouterr().err
+    assert " -m dune_rl.train resume=run" in capsys.readouterr().err
     monkeypatch.setattr(progress, "LineReporter", LineReporter)
     assert call(train.main, "resume=run") == 0
     assert "after 192 frames" in capsys.readouterr().out

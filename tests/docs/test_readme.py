@@ -11,10 +11,10 @@ def test_readme_opens_with_two_blocks_that_set_themselves_up() -> None:
     for block in (run, test):
         assert "-m venv" in block
         assert "-c constraints.txt" in block
-    _, first_training, main_training = run.strip().splitlines()
-    # A run of some minutes that ends with a film, and then the main one.
-    assert "+experiment=quick" in first_training
-    assert "+experiment=all_worlds" in main_training
+    _, film, training = run.strip().splitlines()
+    # What takes a minute and ends with a film, and then the main command.
+    assert "dune_rl.view" in film and "view=video" in film
+    assert "dune_rl.train +experiment=all_worlds" in training
     assert "-m pytest" in test
 
 
