@@ -126,6 +126,11 @@ class Participant:
         self._writers[topic] = writer
         return writer
 
+    @property
+    def published(self) -> list[str]:
+        """The topics that are published here."""
+        return sorted(self._writers)
+
     def flush(self, timeout_s: float) -> None:
         """Wait until readers have what was published, at most `timeout_s`."""
         from cyclonedds.core import DDSException

@@ -171,6 +171,10 @@ class LiveScene:
             task.reset(np.ones(self._simulation.group(name).num_rows, bool), state.groups[name])
         self._recording = SceneRecording(self._participant, self._topics, 0, self._time_ns)
         self._write()
+        if self._episodes == 1:
+            commands = ", ".join(agent.command_topic for agent in self._agents)
+            self._report(f"publishes {', '.join(self._participant.published)}")
+            self._report(f"waits for commands on {commands}")
         self._report(f"episode {int(self._simulation.episodes[0])} begins at {self._time_ns / 1e9:.2f} s")
 
     def _await_turn(self) -> None:

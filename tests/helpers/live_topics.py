@@ -33,6 +33,10 @@ class TopicBoard:
     def advertise(self, topic: str, kind: str, *, latched: bool = False) -> None:
         self.written.setdefault(topic, [])
 
+    @property
+    def published(self) -> list[str]:
+        return sorted(self.written)
+
     def subscribe(self, topic: str, kind: str, **qos: bool) -> "_Waiting":
         return _Waiting(self._waiting.setdefault((topic, kind), []))
 
