@@ -12,7 +12,7 @@ def test_readme_opens_with_two_blocks_that_set_themselves_up() -> None:
         assert "-m venv" in block
         assert "-c constraints.txt" in block
     _, film, training = run.strip().splitlines()
-    # What takes a minute and ends with a film, and then the main command.
+    # What takes two minutes and ends with a film, and then the main command.
     assert "dune_rl.view" in film and "view=video" in film
     assert "dune_rl.train +experiment=all_worlds" in training
     assert "-m pytest" in test
