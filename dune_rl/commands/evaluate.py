@@ -166,7 +166,7 @@ def _note_other_rates(plan: "EvaluationPlan") -> None:
 
 
 def _trained_repeat(path: Path) -> int | None:
-    """How many control steps an action of a policy's file was held in training; None where that is unknown."""
+    """Control steps for which an action of a policy's file was held in training; None where unknown."""
     if path.suffix == ".onnx":
         from dune_rl.learning.onnx_policy import OnnxPolicy
 

@@ -82,8 +82,8 @@ class BagReadings:
             continuous.append(TF)
         silences = {topic: self._silences[topic] for topic in continuous if topic in self._silences}
         return [
-            f"{topic}: no message for {silent_ns / _NS:.2f} s from {since_ns / _NS:.2f} s on; the actions are of"
-            " its last one, and live the robot would stand"
+            f"{topic}: no message for {silent_ns / _NS:.2f} s from {since_ns / _NS:.2f} s on; the actions "
+            "are of its last one, and live the robot would stand"
             for topic, (silent_ns, since_ns) in silences.items()
             if silent_ns > MOST_AGE_S * _NS
         ]
