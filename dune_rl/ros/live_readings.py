@@ -60,7 +60,7 @@ class LiveReadings:
         self._has_clock = conf.sim_time is not False and _CLOCK in offers
         if self._has_clock:
             self._subscribe(_CLOCK, _CLOCK_TYPE, offers)
-        self._clock_ns, self._ticked_s = 0, time.monotonic()
+        self._clock_ns, self._ticked_s, self._has_ticked = 0, time.monotonic(), False
         # When the last message of each topic arrived, by the clock.
         self._arrived_ns: dict[str, int] = {}
         self.newest_sent_ns = 0
@@ -137,11 +137,14 @@ class LiveReadings:
             self._ticked_s = time.monotonic()
 
     def _tick(self, time_ns: int) -> None:
-        if time_ns < self._clock_ns:
+        if not self._has_ticked:
+            # What came before has no time.
+            self._arrived_ns.clear()
+        elif time_ns < self._clock_ns:
             # A simulation has begun anew.
             self._arrived_ns.clear()
             self._readings.forget()
-        self._clock_ns = time_ns
+        self._clock_ns, self._has_ticked = time_ns, True
 
     def _is_event(self, topic: str) -> bool:
         """Whether a topic has a message when something happens, such as a goal, and not all the time."""
@@ -149,6 +152,8 @@ class LiveReadings:
 
     def fault(self) -> str:
         """Why nothing can be done now: a topic that is missing or has stopped; empty where there is all."""
+        if self._has_clock and not self._has_ticked:
+            return f"{_CLOCK}: no message yet{self._hint(_CLOCK)}"
         if missing := self._readings.missing:
             return f"{missing[0]}: no message yet{self._hint(missing[0])}"
         if self.clock_stands:

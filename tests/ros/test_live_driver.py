@@ -312,6 +312,16 @@ def test_a_simulation_that_begins_anew_is_followed() -> None:
     assert len(rig.seen) == 15 + 20 and rig.begins.count(True) == 2 and not rig.stops
 
 
+def test_the_first_tick_of_the_clock_is_awaited() -> None:
+    rig = Rig(wait_s=60.0)
+
+    def begin_the_clock(turn: int) -> None:
+        rig.silent = {"/clock"} if turn < 20 else set()
+
+    rig.run(40, begin_the_clock)
+    assert rig.lines == ["waiting: /clock: no message yet", "driving"]
+
+
 def test_another_mount_is_named() -> None:
     rig = Rig()
     rig.mount = np.array([0.5, 0.0, 0.3])
