@@ -322,6 +322,13 @@ def test_the_first_tick_of_the_clock_is_awaited() -> None:
     assert rig.lines == ["waiting: /clock: no message yet", "driving"]
 
 
+def test_another_driver_is_named() -> None:
+    rig = Rig()
+    rig.board.offer("/cmd_vel", "geometry_msgs/Twist")
+    rig.run(10)
+    assert rig.lines[0].startswith("warning: another program publishes /cmd_vel, too")
+
+
 def test_another_mount_is_named() -> None:
     rig = Rig()
     rig.mount = np.array([0.5, 0.0, 0.3])
