@@ -242,7 +242,7 @@ def test_old_stamps_stop_the_robot() -> None:
     [
         (np.full(32, np.nan), "8 of the 8 segments of lidar have only NaN"),
         (np.where(np.arange(32) < 4, np.nan, 4.0), "1 of the 8 segments of lidar have only NaN"),
-        (np.zeros(32), "8 of the 8 segments of lidar have only NaN or ranges below range_min, 0.1 m"),
+        (np.zeros(32), "8 of the 8 segments of lidar have only NaN or 0, no measurement"),
         (np.full(5, 4.0), "segments of lidar, which are of 360 degrees, have no beam"),
     ],
 )
