@@ -86,8 +86,8 @@ class ScanCodec(SensorCodec):
         blind = conf.n_segments - len(np.unique(segment[inside & is_known]))
         if blind:
             raise MessageError(
-                f"{blind} of the {conf.n_segments} segments of {self._name} have only NaN or 0, no measurement; "
-                "let the driver write inf where nothing returns (REP-117)"
+                f"{blind} of the {conf.n_segments} segments of {self._name} have only NaN or 0, "
+                "no measurement; let the driver write inf where nothing returns (REP-117)"
             )
         farthest, nearest = np.float32(conf.range_m), np.float32(conf.min_range_m)
         known = np.clip(np.where(is_known, ranges, farthest), nearest, farthest)
