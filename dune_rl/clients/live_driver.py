@@ -143,6 +143,10 @@ class LiveDriver:
             self._readings = self._find_readings(is_stopped=is_stopped)
         except StoppedWaitingError:
             return self.summary
+        if not self._conf.dry_run and self._topic in self._participant.offers():
+            self._report(
+                f"warning: another program publishes {self._topic}, too; end it, or the robot obeys both"
+            )
         self._began_s = time.monotonic()
         due_ns: int | None = None
         try:

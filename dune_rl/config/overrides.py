@@ -1,5 +1,6 @@
 """Overrides of the command line in Hydra's form, and the options of groups, users' parts among them."""
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -33,6 +34,8 @@ REGISTRIES: Mapping[str, Registry[Any]] = {
 _PROVIDER = "dune_rl"
 # Letters of a word that a message repeats.
 _MOST_REPEATED = 200
+# Texts that Hydra's grammar takes as they are.
+_PLAIN = re.compile(r"[A-Za-z0-9_./-]+")
 
 
 def offer_user_parts(folders: Sequence[str] = ()) -> None:
@@ -148,6 +151,15 @@ class ParsedOverrides:
         return words
 
 
+def text_word(key: str, text: str) -> str:
+    """The override that sets `key` to a text, in quotes where Hydra does not read it without."""
+    if _PLAIN.fullmatch(text):
+        return f"{key}={text}"
+    # Before a quote, and at the end, backslashes are doubled.
+    escaped = re.sub(r'(\\*)("|$)', lambda found: 2 * found[1] + (found[2] and '\\"'), text)
+    return f'{key}="{escaped}"'
+
+
 def parse_overrides(overrides: Sequence[str], loader: ConfigLoader) -> ParsedOverrides:
     """Parse overrides and sort them by what they do; unreadable and unknown ones become faults."""
     parser = OverridesParser.create(config_loader=loader)
@@ -255,7 +267,7 @@ def _describe_unreadable(text: str) -> str:
     key = printable(text.partition("=")[0], _MOST_REPEATED)
     return (
         f"cannot read {printable(text, _MOST_REPEATED)!r}; write key=value, and quote a value that holds "
-        f"spaces, commas, brackets or equals signs: '{key}=\"...\"'"
+        f"spaces, accents, commas, brackets or equals signs: '{key}=\"...\"'"
     )
 
 

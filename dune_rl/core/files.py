@@ -45,7 +45,8 @@ def write_atomically(path: Path) -> Iterator[Path]:
     What a process that was killed left beside `path` is removed.
     """
     _remove_abandoned(path)
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
+    with errors_naming(path):
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
     temporary = Path(name)
     try:
         # Until the end, so that others see that this process lives.
@@ -60,6 +61,16 @@ def write_atomically(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
         os.close(handle)
     _sync_folder(path.parent)
+
+
+@contextmanager
+def errors_naming(path: Path) -> Iterator[None]:
+    """Lets an OSError of a temporary file name the path that was to be written."""
+    try:
+        yield
+    except OSError as error:
+        error.filename = str(path)
+        raise
 
 
 def _remove_abandoned(path: Path) -> None:

@@ -58,7 +58,8 @@ class UniqueNames:
     """Names of letters, digits, - and ., in the order in which they are asked for; none is given twice."""
 
     def __init__(self) -> None:
-        self._taken: set[tuple[str, str]] = set()
+        # SDF reserves the name of the outermost frame.
+        self._taken: set[tuple[str, str]] = {("world", "")}
 
     def make(self, text: str, suffix: str = "") -> str:
         """`text` as a name that is new with a `suffix`, with a number behind it if need be."""

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from dune_rl.core.errors import ConfigError
+from dune_rl.core.files import errors_naming
 
 MANIFEST = "export.json"
 _ENTRIES = "entries"
@@ -49,7 +50,8 @@ def write_aside(out: Path, manifest: Mapping[str, Any], *, overwrite: bool) -> I
     place = out.resolve()
     made = [each for each in place.parents if not each.exists()]
     place.parent.mkdir(parents=True, exist_ok=True)
-    aside = Path(tempfile.mkdtemp(prefix=f".{place.name}.", suffix=".tmp", dir=place.parent))
+    with errors_naming(out):
+        aside = Path(tempfile.mkdtemp(prefix=f".{place.name}.", suffix=".tmp", dir=place.parent))
     new, old = aside / "new", aside / "old"
     try:
         new.mkdir()

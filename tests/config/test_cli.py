@@ -7,12 +7,15 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import get_args
 
 import pytest
 import yaml
 
 from dune_rl import benchmark, engines, evaluate, train
 from dune_rl.commands import command_line
+from dune_rl.commands.pages import PAGES
+from dune_rl.config.commands import ViewConf
 from dune_rl.core.untrusted_files import WorldWarning
 
 Call = Callable[..., int]
@@ -39,6 +42,11 @@ def test_help(program: object, call: Call, capsys: pytest.CaptureFixture[str]) -
     text = capsys.readouterr().out
     for words in ("+world=NAME", "construction, flat, heightmap", "seed=N", "python -m dune_rl."):
         assert words in text
+
+
+def test_the_help_names_every_view() -> None:
+    named = re.split(", | or ", dict(PAGES["view"].settings)["view=NAME"])
+    assert sorted(named) == sorted(get_args(ViewConf.model_fields["view"].annotation))
 
 
 def test_shown_settings_are_the_used_ones(

@@ -8,7 +8,8 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 
 from dune_rl.config.commands import EvaluateConf
-from dune_rl.config.compose import check_sweep, compose, compose_environment
+from dune_rl.config.compose import check_sweep, compose, compose_environment, override_value
+from dune_rl.config.overrides import text_word
 from dune_rl.config.schema import Conf, EnvConf
 from dune_rl.core import paths
 from dune_rl.core.errors import ConfigError
@@ -112,8 +113,8 @@ def test_the_plus_makes_no_difference(world: str, actors: str, seed: str) -> Non
          "does; set it to 0, or have another group learn (actors=learning_walkers)"),
         (["world=flat", "seed"], "cannot read 'seed'; write key=value"),
         (["world=flat", "learning.hidden=[256"],
-         "cannot read 'learning.hidden=[256'; write key=value, and quote a value that holds spaces, commas, "
-         "brackets or equals signs: 'learning.hidden=\"...\"'"),
+         "cannot read 'learning.hidden=[256'; write key=value, and quote a value that holds spaces, accents, "
+         "commas, brackets or equals signs: 'learning.hidden=\"...\"'"),
         (["world=flat", "seed=1,2"],
          "seed=1,2 has several values; add -m to run them all, or quote the value"),
         (["world=flat", "wrold/x=1"],
@@ -252,3 +253,8 @@ def test_a_broken_file_of_the_user_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"no valid YAML: .*mine\.yaml.*duplicate key name") as caught:
         compose(Conf, ["+world=mine"], [str(tmp_path)])
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["a/b-1.sdf", "my yärd/w.sdf", "a,b=[c]", "it's", 'a"b', "a\\", 'a\\"b\\'])
+def test_a_text_is_quoted_as_hydra_reads_it(text: str) -> None:
+    assert override_value([text_word("world.path", text)], "world.path") == text

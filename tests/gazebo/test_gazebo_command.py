@@ -1,6 +1,7 @@
 """The command that exports worlds and robots: what it writes and says, and what it refuses."""
 
 import json
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree
@@ -46,14 +47,19 @@ def test_a_robot_alone_is_written(folder: Path, call: Call, capsys) -> None:
     ]  # fmt: skip
 
 
+# Of the plugins that Gazebo needs.
+@pytest.mark.filterwarnings("default::dune_rl.core.untrusted_files.WorldWarning")
 @pytest.mark.slow
 def test_what_is_read_back_is_said(folder: Path, call: Call, capsys) -> None:
-    assert call(export.main, *SITE, "world.surfaces=natural", "actors=none", "out=site") == 0
+    assert call(export.main, *SITE, "world.surfaces=natural", "actors=none", "out='my site'") == 0
     (line,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("read back: "))
     assert line == (
-        "read back: python -m dune_rl.view +world=sdf world.path=site/world.sdf world.spacing_m=5 "
-        "'world.region=[-4,4,-4,4]' world.surface_map=site/surfaces.png"
+        "read back: python -m dune_rl.view +world=sdf 'world.path=\"my site/world.sdf\"' world.spacing_m=5 "
+        "'world.region=[-4,4,-4,4]' 'world.surface_map=\"my site/surfaces.png\"'"
     )
+    assert call(export.main, *shlex.split(line)[5:], "actors=none", "out=again") == 0
+    # SDF reserves the name `world`.
+    assert '<world name="sdf_world">' in (folder / "again" / "world.sdf").read_text()
 
 
 @pytest.mark.slow

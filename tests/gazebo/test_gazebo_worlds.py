@@ -189,12 +189,12 @@ def test_the_same_scene_has_the_same_bytes(tmp_path: Path) -> None:
 
 def test_no_object_has_the_name_of_an_agent(tmp_path: Path) -> None:
     box = trimesh.creation.box()
-    names = ("sun", "Rover_0", "a/../../b", "wall #2", "wall #2")
+    names = ("sun", "Rover_0", "a/../../b", "wall #2", "wall #2", "world")
     props = [Prop(name, "wall", np.asarray(box.vertices), np.asarray(box.faces, np.int32)) for name in names]
     world = World("w", HeightField(np.zeros((5, 5)), 1.0, (-2.0, -2.0)), props, region=(-1, 1, -1, 1))
     element = make_world("w", world, WeatherConf(), PhysicsConf(), MeshFolder(tmp_path), ["rover_0"])
     found = [model.get("name") for model in element.findall("model")]
-    assert found == ["ground", "sun_2", "Rover_0_2", "a_.._.._b", "wall_2", "wall_2_2"]
+    assert found == ["ground", "sun_2", "Rover_0_2", "a_.._.._b", "wall_2", "wall_2_2", "world_2"]
     written = {path.name for path in (tmp_path / "meshes").iterdir()}
     assert {f"{name}.obj" for name in found} <= written
     assert [path.name for path in tmp_path.iterdir()] == ["meshes"]

@@ -246,7 +246,7 @@ def test_old_stamps_stop_the_robot() -> None:
     [
         (np.full(32, np.nan), "8 of the 8 segments of lidar have only NaN"),
         (np.where(np.arange(32) < 4, np.nan, 4.0), "1 of the 8 segments of lidar have only NaN"),
-        (np.zeros(32), "8 of the 8 segments of lidar have only NaN or ranges below range_min, 0.1 m"),
+        (np.zeros(32), "8 of the 8 segments of lidar have only NaN or 0, no measurement"),
         (np.full(5, 4.0), "segments of lidar, which are of 360 degrees, have no beam"),
     ],
 )
@@ -331,6 +331,13 @@ def test_a_clock_that_stands_stops_the_robot_until_it_ticks(
     stopping = ["driving", "stopped: /clock stands still", "driving again"]
     assert rig.lines == (stopping if first else waiting)
     assert rig.commands[-2] == pytest.approx((0.8, 0.5))
+
+
+def test_another_driver_is_named() -> None:
+    rig = Rig()
+    rig.board.offer("/cmd_vel", "geometry_msgs/Twist")
+    rig.run(10)
+    assert rig.lines[0].startswith("warning: another program publishes /cmd_vel, too")
 
 
 def test_another_mount_is_named() -> None:

@@ -304,5 +304,7 @@ def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path) -> None:
         assert path.read_text() == "first"
     assert path.read_text() == "second"
     assert [each.name for each in tmp_path.iterdir()] == ["file.txt"]
-    with pytest.raises(FileNotFoundError), write_atomically(tmp_path / "nowhere" / "file.txt"):
+    path = tmp_path / "nowhere" / "file.txt"
+    with pytest.raises(FileNotFoundError) as refused, write_atomically(path):
         pass
+    assert refused.value.filename == str(path)

@@ -10,6 +10,7 @@ from dune_rl.config.build import make_simulation
 from dune_rl.config.commands import GazeboConf
 from dune_rl.config.compose import compose
 from dune_rl.config.endless import without_ends
+from dune_rl.config.overrides import text_word
 from dune_rl.core.paths import file_stem
 from dune_rl.core.version import VERSION
 from dune_rl.env.simulation import VectorSimulation
@@ -62,9 +63,9 @@ def _manifest(conf: GazeboConf) -> dict[str, object]:
 
 
 def _name_of(conf: GazeboConf) -> str:
-    """The world's name, or that of its file."""
+    """The world's name, and that of its file, which may be one that SDF reserves."""
     path = getattr(conf.world, "path", None)
-    return conf.world.name if path is None else file_stem(Path(path).stem)
+    return conf.world.name if path is None else file_stem(f"{conf.world.name}_{Path(path).stem}")
 
 
 def _describe_world(out: Path, scene: WrittenScene, simulation: VectorSimulation) -> Iterator[str]:
@@ -78,10 +79,14 @@ def _describe_world(out: Path, scene: WrittenScene, simulation: VectorSimulation
     if world.grass is not None:
         yield "left out: tall grass, through which beams pass"
     region = ",".join(f"{side:g}" for side in world.region)
-    words = ["+world=sdf", f"world.path={out / WORLD}", f"world.spacing_m={world.terrain.spacing_m:.9g}"]
+    words = [
+        "+world=sdf",
+        text_word("world.path", str(out / WORLD)),
+        f"world.spacing_m={world.terrain.spacing_m:.9g}",
+    ]
     words += [f"world.region=[{region}]"]
     if world.surfaces is not None:
-        words += [f"world.surface_map={out / SURFACES}"]
+        words += [text_word("world.surface_map", str(out / SURFACES))]
     yield f"read back: {shlex.join(['python', '-m', 'dune_rl.view', *words])}"
 
 

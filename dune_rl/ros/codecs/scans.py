@@ -80,15 +80,14 @@ class ScanCodec(SensorCodec):
                 f"{conf.fov_deg:g} degrees, have no beam of its {len(ranges)} over "
                 f"{np.rad2deg(abs(message.angle_increment) * len(ranges)):.0f} degrees"
             )
-        # REP-117: -inf is nearer than can be measured, inf farther, NaN no measurement. Neither are ranges
-        # below range_min: many drivers write 0 where nothing returns.
-        is_known = (ranges >= np.float32(message.range_min)) | np.isneginf(ranges)
+        # REP-117: -inf is nearer than can be measured, inf farther, NaN no measurement. Nor is 0, which many
+        # drivers write where nothing returns. What lies between it and range_min counts as near, to be safe.
+        is_known = (ranges > 0.0) | np.isneginf(ranges)
         blind = conf.n_segments - len(np.unique(segment[inside & is_known]))
         if blind:
             raise MessageError(
-                f"{blind} of the {conf.n_segments} segments of {self._name} have only NaN or ranges below "
-                f"range_min, {message.range_min:g} m; let the driver write inf where nothing returns "
-                "(REP-117)"
+                f"{blind} of the {conf.n_segments} segments of {self._name} have only NaN or 0, "
+                "no measurement; let the driver write inf where nothing returns (REP-117)"
             )
         farthest, nearest = np.float32(conf.range_m), np.float32(conf.min_range_m)
         known = np.clip(np.where(is_known, ranges, farthest), nearest, farthest)
