@@ -27,8 +27,9 @@ def measure_films(conf: BenchmarkConf) -> Mapping[str, Any]:
     before.
     """
     world = f"+world={conf.world.name}"
-    words = [world, "actors=pedestrians", "policy=go_to_goal", *_ROAMING, f"longest_s={conf.film_s}"]
-    words += [f"seed={conf.seed}", "task.terminations.time_limit.max_steps=1000000"]
+    words = [world, "actors=pedestrians", "sensors=[camera,lidar,goal]", "policy=go_to_goal", *_ROAMING]
+    words += [f"seed={conf.seed}", f"longest_s={conf.film_s}"]
+    words += ["task.terminations.time_limit.max_steps=1000000"]
     cpu_s = {}
     for width, height, samples in _SIZES:
         view = EpisodeView(
