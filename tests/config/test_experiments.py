@@ -125,6 +125,26 @@ def test_the_cost_of_actors_is_that_of_its_run() -> None:
     assert f"by social forces {force:.0%}, by ORCA {orca:.0%}".replace("%", " %") in text
 
 
+def test_sizes_films_and_live_topics_are_those_of_their_runs() -> None:
+    text = " ".join(SPEED_PAGE.read_text().split())
+    sizes, films = (
+        json.loads((EXPERIMENTS / "speed" / f"{name}.jsonl").read_text()) for name in ("sizes", "films")
+    )
+    memory, scene = sizes["process_memory_mib"], sizes["scene_memory_mib"]
+    assert f"holds {memory:.0f} MiB, and each further scene {scene:.0f}" in text
+    starts = sizes["startup_s"]
+    assert f"A wheel has {sizes['wheel_mib']:.1f} MiB." in text
+    assert f"begin in {min(starts.values()):.1f} (`{min(starts, key=starts.__getitem__)}`)" in text
+    assert f"to {max(starts.values()):.1f} s (`{max(starts, key=starts.__getitem__)}`)" in text
+    assert f"`train` begins in {starts['train']:.1f}" in text
+    small, training, view = films["film_cpu_s"].values()
+    assert f"takes {small:.0f} s of processor time at 640" in text and f"{training:.0f} s at the 960" in text
+    assert f"and {view:.0f} s at the 1920" in text
+    with (EXPERIMENTS / "speed" / "live_topics.csv").open(newline="") as opened:
+        (row,) = csv.DictReader(opened)
+    assert f"take {row['median_ms']} ms in the median" in text and f"and {row['late_ms']} ms in 95" in text
+
+
 def test_the_cost_of_perception_is_that_of_its_runs() -> None:
     lines = (EXPERIMENTS / "speed" / "perception.jsonl").read_text().splitlines()
     plain, flat, rings = (json.loads(line)["overhead_ratio"] for line in lines)
