@@ -3,7 +3,7 @@
 `python experiments/reliability/strangers.py FOLDER [mutants=10000] [first=0] [minutes=60] [kinds=obj,stl]`
 reads the formats in turns of 500 files, until each has so many or the time is over, and goes on with what
 `FOLDER/strangers.csv` has. A row is a format; the numbers and faults of its defects are in
-`FOLDER/defects.csv`. Number N of a format is the same file at every call.
+`FOLDER/strangers_defects.csv`. Number N of a format is the same file at every call.
 """
 
 import csv
@@ -30,22 +30,6 @@ COLUMNS = ("format", "attacks", "mutants", ACCEPTED, REFUSED, "defects", "most_s
 def read_rows(file: Path) -> dict[str, dict[str, str]]:
     """The rows of `strangers.csv` by format; none without the file."""
     return {row["format"]: row for row in read_csv(file)}
-
-
-def markdown(rows: Mapping[str, Mapping[str, str]]) -> str:
-    """The table of the page."""
-    lines = ["| format | files | attacks | accepted | refused | defects | slowest [s] | memory [MiB] |"]
-    lines.append("|---|---:|---:|---:|---:|---:|---:|---:|")
-    for row in rows.values():
-        numbers = (int(row[name]) for name in ("mutants", "attacks", ACCEPTED, REFUSED, "defects"))
-        cells = [row["format"].replace("_", " "), *(f"{number:,}" for number in numbers)]
-        lines.append("| " + " | ".join([*cells, row["most_s"], row["most_mib"]]) + " |")
-    total = [
-        sum(int(row[name]) for row in rows.values())
-        for name in ("mutants", "attacks", ACCEPTED, REFUSED, "defects")
-    ]
-    lines.append("| **all** | " + " | ".join(f"{number:,}" for number in total) + " |  |  |")
-    return "\n".join(lines)
 
 
 def _read_turn(kind: str, numbers: Sequence[int]) -> list[Outcome]:
@@ -78,7 +62,7 @@ def _add(before: Mapping[str, str], kind: str, attacks: int, found: Sequence[Out
 def main(folder: Path, mutants: int, first: int, minutes: float, kinds: Sequence[str]) -> None:
     """Read damaged files in turns, and write the tables after each turn."""
     folder.mkdir(parents=True, exist_ok=True)
-    file, faults = folder / "strangers.csv", folder / "defects.csv"
+    file, faults = folder / "strangers.csv", folder / "strangers_defects.csv"
     rows, end = read_rows(file), time.monotonic() + 60.0 * minutes
     attacks: dict[str, int] = {}
     while time.monotonic() < end:

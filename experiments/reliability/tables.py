@@ -10,6 +10,7 @@ _COMPARED = ("again", "scenes", "restored")
 _COUNTS = ("steps", *_COMPARED, *(f"{name}_of" for name in _COMPARED))
 # Of a run of kills.py.
 _TOTAL_FRAMES = 3072
+_OF_STRANGERS = ("mutants", "attacks", "accepted", "refused", "defects")
 _SUMS = ("steps", "episodes", "cpu_s", "nan", "fallen", "diverged")
 
 
@@ -95,6 +96,22 @@ def faults_table(folder: Path) -> str:
     return "\n".join(lines)
 
 
+def strangers_table(folder: Path) -> str:
+    """A Markdown table with a row for each format, and one of all."""
+    lines = [
+        "| format | damaged files | of them attacks | accepted | refused | defects | slowest | most memory |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|",
+    ]
+    rows = read_csv(folder / "strangers.csv")
+    for row in rows:
+        cells = [f"{int(row[name]):,}" for name in _OF_STRANGERS]
+        cells += [f"{row['most_s']} s", f"{row['most_mib']} MiB"]
+        lines.append(f"| {row['format'].replace('_', ' ')} | {' | '.join(cells)} |")
+    sums = [f"{sum(int(row[name]) for row in rows):,}" for name in _OF_STRANGERS]
+    lines.append(f"| **all** | {' | '.join(sums)} | | |")
+    return "\n".join(lines)
+
+
 def _range(rows: list[dict[str, str]], name: str) -> str:
     numbers = [int(row[name]) for row in rows]
     return f"{min(numbers)} to {max(numbers)}" if min(numbers) < max(numbers) else str(numbers[0])
@@ -102,4 +119,5 @@ def _range(rows: list[dict[str, str]], name: str) -> str:
 
 if __name__ == "__main__":
     folder = Path(__file__).parent
-    print(*(make(folder) for make in (determinism_table, soak_table, kills_table, faults_table)), sep="\n\n")
+    tables = determinism_table, soak_table, kills_table, faults_table, strangers_table
+    print(*(make(folder) for make in tables), sep="\n\n")

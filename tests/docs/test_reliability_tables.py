@@ -15,6 +15,7 @@ STUDIES = Path(__file__).parents[2] / "experiments"
         ("reliability/soak", "soak"),
         ("reliability/faults", "kills"),
         ("reliability/faults", "faults"),
+        ("reliability/strangers", "strangers"),
         ("scaling/README", "scaling"),
     ],
 )
