@@ -56,8 +56,8 @@ class Panel:
         with self._metric_folder:
             self._metrics = gui.add_html("")
         with gui.add_folder("Show", order=STATE_ORDER + 4):
-            self._beams = gui.add_checkbox("LiDAR", True)
-            self._ways = gui.add_checkbox("Ways of actors", True)
+            self._beams = gui.add_checkbox("LiDAR", True, hint="yellow rays in a plane, blue points of rings")
+            self._ways = gui.add_checkbox("Ways of actors", True, hint="grey; that of the agent is orange")
             self._follows = gui.add_checkbox("Follow the agent", True)
         self._act(lambda: None)
 
