@@ -129,7 +129,18 @@ def run_command(page: HelpPage, body: Callable[[Sequence[str]], None]) -> NoRetu
         sys.exit(128 + signal.SIGINT)
     except Terminated:
         sys.exit(128 + signal.SIGTERM)
+    except Exception:
+        if not _lost_signals:
+            raise
+        # The library whose callback lost the signal failed for want of what that was to do.
+        if _lost_signals[0] == signal.SIGINT:
+            print_error("Interrupted")
+        sys.exit(128 + _lost_signals[0])
     sys.exit(0)
+
+
+# Of which the exceptions were lost.
+_lost_signals: list[signal.Signals] = []
 
 
 def _stop_later(unraisable: "sys.UnraisableHookArgs") -> None:
@@ -139,6 +150,7 @@ def _stop_later(unraisable: "sys.UnraisableHookArgs") -> None:
     """
     for stop, number in ((KeyboardInterrupt, signal.SIGINT), (Terminated, signal.SIGTERM)):
         if issubclass(unraisable.exc_type, stop):
+            _lost_signals.append(number)
             again = threading.Timer(_AGAIN_S, _signal_main_thread, [number])
             again.daemon = True
             again.start()

@@ -24,6 +24,10 @@ def in_a_callback(parsed):
     time.sleep(60.0)
     print("went on")
 
+def in_a_callback_without_which_it_fails(parsed):
+    called_from_c()
+    raise RuntimeError("no compiled object yet")
+
 run_command(HelpPage("A command.", (), (), ""), BODY)
 """
 
@@ -42,3 +46,9 @@ def test_an_interruption_is_said() -> None:
 def test_what_a_callback_from_c_loses_is_repeated(name: str, code: int, said: str) -> None:
     ended = run("in_a_callback", name)
     assert (ended.returncode, ended.stdout, ended.stderr) == (code, "", said)
+
+
+@pytest.mark.parametrize(("name", "code", "said"), [("SIGINT", 130, "Interrupted\n"), ("SIGTERM", 143, "")])
+def test_what_fails_for_want_of_an_interrupted_callback_is_no_fault(name: str, code: int, said: str) -> None:
+    ended = run("in_a_callback_without_which_it_fails", name)
+    assert (ended.returncode, ended.stderr) == (code, said)
