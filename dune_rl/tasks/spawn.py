@@ -209,7 +209,10 @@ class Spawner:
         # The cell farthest from anywhere is outermost in some direction; 64 directions find it to 0.1 %.
         bearings = np.linspace(0.0, 2 * np.pi, 64, endpoint=False)
         directions = np.stack([np.cos(bearings), np.sin(bearings)], axis=1)
-        outermost = self.cells[np.unique((directions @ self.cells.T).argmax(axis=1))]
+        # Cells are in rows, of which only the ends can be outermost.
+        starts = np.flatnonzero(np.diff(self.cells[:, 1], prepend=np.inf))
+        ends = self.cells[np.concatenate([starts, np.append(starts[1:], len(self.cells)) - 1])]
+        outermost = ends[np.unique((directions @ ends.T).argmax(axis=1))]
         reach = self._conf.min_goal_distance_m
         # Hardly a cell is near to the first one, so that the others are for few.
         near = np.arange(len(self.cells))

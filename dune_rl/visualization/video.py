@@ -29,6 +29,8 @@ def open_video(path: Path, frames_per_s: float, width: int, height: int) -> Iter
         stream.width, stream.height = width, height
         stream.pix_fmt = "yuv420p"
         stream.options = {"crf": "25", "preset": "superfast"}
+        # More threads take more processor time, and give other bytes.
+        stream.codec_context.thread_count = 1
 
         def add(frame: Picture) -> None:
             picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="rgb24")

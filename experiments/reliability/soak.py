@@ -39,7 +39,8 @@ from dune_rl.learning.policies import built_in_policy
 from dune_rl.learning.saved_policies import load_policy
 from dune_rl.physics.interface import OWN_ENGINES
 
-_SCENES, _STEPS = 16, 4_000
+# As many steps of a scene as its longest episode has, so that each has new episodes in every turn.
+_SCENES, _STEPS = 64, 1_000
 _LIMITS = ("task.terminations.time_limit.max_steps=960",)
 _POLICY = Path(__file__).parents[1] / "policies" / "all_worlds_1" / "policy.pt"
 _DRIVERS = ("random", "go_to_goal", "random", "oracle", "random", "mppi", "go_to_goal", "planner")
@@ -68,6 +69,7 @@ class Turn:
     robot: str
     actors: str
     driver: str
+    scenes: int = _SCENES
     steps: int = 0
     episodes: int = 0
     cpu_s: float = 0.0
