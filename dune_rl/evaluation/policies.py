@@ -168,6 +168,9 @@ class OnnxUserPolicy(UserPolicy):
         self._policies = {group: OnnxPolicy(path) for group in env.group_map}
         self._env = env
         super().__init__(name, next(iter(self._policies.values())).act, env)
+        for group, spec in self._specs.items():
+            if (bounds := self._policies[group].action_bounds) is not None:
+                replace(spec, low=bounds[0], high=bounds[1]).require(spec, f"policy={path}")
 
     def _act_for(self, group: str, rows: dict[str, NDArray[Any]]) -> NDArray[np.floating]:
         policy = self._policies[group]

@@ -58,6 +58,17 @@ class OnnxPolicy:
             found = {}
         return found if isinstance(found, dict) else {}
 
+    @property
+    def action_bounds(self) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
+        """The lowest and the highest actions; None where the file does not say them."""
+        try:
+            actions = self.description["action"]
+            return tuple(float(each["low"]) for each in actions), tuple(
+                float(each["high"]) for each in actions
+            )
+        except (KeyError, TypeError, ValueError):
+            return None
+
     def act(
         self, observation: Mapping[str, NDArray[Any]], begins: NDArray[np.bool_] | None = None
     ) -> NDArray[np.floating]:

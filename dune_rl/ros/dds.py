@@ -43,11 +43,11 @@ class Subscription:
         self._reader = reader
 
     def take(self) -> list[Received]:
-        """The messages that have arrived since the last call, the oldest first."""
+        """The messages that have arrived since the last call, the oldest first, without damaged ones."""
         return [
             Received(sample.message, sample.sample_info.source_timestamp)
             for sample in self._reader.take(_READ)
-            if sample.sample_info.valid_data
+            if sample.sample_info.valid_data and sample.message is not None
         ]
 
 

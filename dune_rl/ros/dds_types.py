@@ -54,6 +54,7 @@ def message_struct(name: str) -> Any:
     the fields, by which it checks what it receives.
     """
     from cyclonedds.idl import make_idl_struct
+    from rosbags.serde import SerdeError
 
     types = message_types()
     fields = {field: _field_type(kind) for field, kind in types.store.get_msgdef(name).fields}
@@ -66,7 +67,11 @@ def message_struct(name: str) -> Any:
         return bytes(types.serialize(self.message))
 
     def deserialize(data: bytes, *args: Any, **kwargs: Any) -> Any:
-        return made(types.store.deserialize_cdr(data, name))
+        try:
+            return made(types.store.deserialize_cdr(data, name))
+        except SerdeError:
+            # Such as a text that is not UTF-8. An exception would lose all messages that are taken with it.
+            return made(None)
 
     def deserialize_key(*args: Any, **kwargs: Any) -> None:
         """Of a publisher that leaves; topics of ROS 2 have no keys."""

@@ -155,6 +155,12 @@ def test_an_onnx_file_drives(call: Call, folder: Path, capsys: pytest.CaptureFix
     assert list(returns) == ["driver", "single"]
     # Exporters fix the batch at one unless told otherwise.
     assert returns["driver"] == pytest.approx(returns["single"], abs=1e-3)
+    actions = [{"name": "speed", "low": 0.0, "high": 9.0}, {"name": "heading", "low": -3.14, "high": 3.14}]
+    helper.set_model_props(model, {"dune_rl": json.dumps({"action": actions})})
+    onnx.save(model, folder / "faster.onnx")
+    assert call(evaluate.main, "policy=faster.onnx", *WORDS, "out=faster") == 2
+    error = capsys.readouterr().err
+    assert "policy=faster.onnx was made for another environment: actions lie in [0, 9], [-3.14" in error
     (folder / "broken.onnx").write_bytes(b"no graph")
     assert call(evaluate.main, "policy=broken.onnx", *WORDS, "out=broken") == 2
     assert not (folder / "broken").exists()

@@ -142,6 +142,29 @@ def test_what_another_program_publishes_is_read(network: NetworkConf, participan
     assert not subscription.take()
 
 
+class NotUtf8(str):
+    """A text that is written as bytes that no text has."""
+
+    def encode(self, *_: Any) -> bytes:
+        return b"\xff\xfe"
+
+
+def test_a_message_with_damaged_text_is_left_out(network: NetworkConf, participant: Participant) -> None:
+    subscription = participant.subscribe("/scan", "sensor_msgs/msg/LaserScan")
+    other = DomainParticipant(network.domain_id)
+    writer = DataWriter(other, Topic(other, "rt/scan", ros2_idl.LaserScan), Qos(Policy.Reliability.Reliable(0)))
+    header = ros2_idl.Header(ros2_idl.Time(1, 0), "lidar_link")
+    damaged = ros2_idl.Header(ros2_idl.Time(1, 0), NotUtf8())
+    scans = [ros2_idl.LaserScan(each, *[0.0] * 7, [], []) for each in (header, damaged)]
+
+    def write() -> None:
+        for scan in scans[::-1]:
+            writer.write(scan)
+
+    found = first_of(subscription.take, write)
+    assert found.message.header.frame_id == "lidar_link"
+
+
 def test_every_standard_message_has_a_type() -> None:
     store = message_types().store
     names = [
