@@ -180,10 +180,10 @@ class LiveReadings:
             return ""
         side = "behind" if stamp < now_ns else "ahead of"
         whose = _CLOCK if self._has_clock else "this machine's clock"
-        return (
-            f"{topic}: stamps are {abs(now_ns - stamp) / NS_PER_S:.2f} s {side} {whose}; synchronise the "
-            "clocks, or set max_age_s=S"
-        )
+        advice = "synchronise the clocks, or set max_age_s=S"
+        if not self._has_clock and _CLOCK in self._participant.offers():
+            advice = f"there is a {_CLOCK}: leave sim_time=false out"
+        return f"{topic}: stamps are {abs(now_ns - stamp) / NS_PER_S:.2f} s {side} {whose}; {advice}"
 
     def _hint(self, topic: str) -> str:
         """What others publish in place of the messages that a topic should have."""

@@ -241,6 +241,12 @@ def test_old_stamps_stop_the_robot() -> None:
     assert rig.commands[-2] == (0.0, 0.0)
 
 
+def test_stamps_of_a_clock_that_is_not_heeded_are_named() -> None:
+    rig = Rig(sim_time=False)
+    with pytest.raises(ConfigError, match="behind this machine's clock; there is a /clock: leave sim_time=f"):
+        rig.run(5)
+
+
 @pytest.mark.parametrize(
     ("ranges", "said"),
     [

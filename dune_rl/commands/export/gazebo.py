@@ -11,6 +11,7 @@ from dune_rl.config.commands import GazeboConf
 from dune_rl.config.compose import compose
 from dune_rl.config.endless import without_ends
 from dune_rl.config.overrides import text_word
+from dune_rl.core.errors import ConfigError
 from dune_rl.core.paths import file_stem
 from dune_rl.core.version import VERSION
 from dune_rl.env.simulation import VectorSimulation
@@ -21,12 +22,17 @@ from dune_rl.gazebo.scene import SURFACES, WORLD, WrittenScene, write_robots, wr
 
 # Where a robot is exported without a world.
 _WITHOUT_WORLD = ("+world=flat", "actors=none")
+# What tells nothing of a robot alone.
+_OF_WORLDS = ("actors", "duration_s", "seed")
 
 
 def compose_words(parsed: Namespace) -> GazeboConf:
     """The settings of a command line; `ConfigError` names every fault."""
     words, folders = list(parsed.overrides), command_line.config_folders(parsed)
     if not any(word.lstrip("+").startswith(("world", "scenario")) for word in words):
+        for word in words:
+            if word.lstrip("+~").partition("=")[0] in _OF_WORLDS:
+                raise ConfigError(f"{word} is of worlds: give world=NAME too, or leave it out")
         words = [*_WITHOUT_WORLD, *words]
     return compose(GazeboConf, words, folders)
 
