@@ -103,6 +103,8 @@ def run_plan(
     if not runner.env.is_closed:
         runner.close()
     folder.write()
+    if plan.conf.bag is not None:
+        console.print(f"Bags: {plan.conf.bag}", highlight=False, markup=False, soft_wrap=True)
     if plan.conf.part is not None:
         text = f"Part {plan.conf.part}: {folder.path}; join=FOLDER joins all parts in it"
         console.print(text, highlight=False, soft_wrap=True)

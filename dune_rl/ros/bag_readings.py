@@ -146,6 +146,9 @@ def _open_bag(path: Path) -> Iterator[Any]:
         inside = sorted([*path.glob(f"*/{_METADATA}"), *path.glob(f"*/*/{_METADATA}")])
         if inside:
             raise ConfigError(f"bag={path} is a folder of bags; give one, such as bag={inside[0].parent}")
+        files = sorted([*path.glob("*.mcap"), *path.glob("*.db3")])
+        if files:
+            raise ConfigError(f"bag={path} has no {_METADATA}; give the file in it, bag={files[0]}")
     try:
         reader = Reader(path)
         reader.open()

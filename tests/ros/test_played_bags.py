@@ -293,12 +293,15 @@ def test_what_is_no_bag_is_named(
     start = content.index(b"\x28\xb5\x2f\xfd")
     content[start : start + 4] = b"none"
     (folder / "damaged.mcap").write_bytes(content)
+    (folder / "bare").mkdir()
+    (folder / "bare" / "a.mcap").write_bytes(content)
     (folder / "cut.mcap").write_bytes((bag / f"{bag.name}.mcap").read_bytes()[:5000])
     for path, sentence in (
         ("absent", "bag=absent is no bag that can be read"),
         ("broken", "bag=broken is no bag that can be read"),
         ("cut.mcap", "bag=cut.mcap is no bag that can be read"),
         ("damaged.mcap", "bag=damaged.mcap is damaged"),
+        ("bare", "bag=bare has no metadata.yaml; give the file in it, bag=bare/a.mcap"),
         (bag.parent, f"is a folder of bags; give one, such as bag={bag.parent / 'episode_0'}"),
     ):
         assert call(drive.main, f"bag={path}", f"checkpoint={POLICY}") == 2
