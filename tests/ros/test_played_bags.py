@@ -382,6 +382,7 @@ def test_a_bag_appears_when_it_is_complete(
     first = (folder / "bags" / "act" / "episode_0" / "episode_0.mcap").read_bytes()
     (folder / "calls.txt").write_text("1000")
     assert call(evaluate.main, "resume=results", "policy=failing:act") == 0
+    assert "Bags: bags\n" in capsys.readouterr().out
     assert sorted(path.name for path in folder.glob("bags/act/*")) == ["episode_0", "episode_1"]
     assert (folder / "bags" / "act" / "episode_0" / "episode_0.mcap").read_bytes() == first
 
