@@ -12,7 +12,7 @@ from dune_rl.commands import command_line
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.paths import unused_folder
 from dune_rl.core.settings import Settings
-from dune_rl.reporting.folder import FIGURES, PAGE, TABLES, check_folder, why_no_folder, write_aside
+from dune_rl.reporting.folder import FIGURES, PAGE, TABLES, check_folder, replace_report, why_no_folder
 
 # Everything else takes seconds to load: only when words and folders are right.
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ def make_report(folders: Sequence[Path], conf: ReportConf, console: "Console") -
         if not inputs.usable:
             raise ConfigError(_NOTHING)
         title, date = conf.title or default_title(inputs), f"{now:%Y-%m-%d %H:%M}"
-        with write_aside(out, overwrite=conf.overwrite) as folder, ReportProgress(console) as progress:
+        with replace_report(out, overwrite=conf.overwrite) as folder, ReportProgress(console) as progress:
             progress.begin("statistics")
             sections = lay_out(collect_findings(inputs), conf.failures, progress)
             write_report(folder, title, describe_inputs(inputs), sections, date, progress)

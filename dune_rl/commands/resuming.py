@@ -10,6 +10,7 @@ import yaml
 from dune_rl.config.compose import compose, override_value
 from dune_rl.config.schema import Conf
 from dune_rl.core.errors import CheckpointError, ConfigError
+from dune_rl.core.folder_lock import LOCK_FILE
 from dune_rl.core.untrusted_files import parse_yaml
 from dune_rl.learning.checkpoint import (
     CHECKPOINT_FILE,
@@ -19,7 +20,7 @@ from dune_rl.learning.checkpoint import (
     interpreting,
     read_checkpoint_file,
 )
-from dune_rl.learning.run.locks import LOCK_FILE, remove_leftovers
+from dune_rl.learning.run.locks import remove_leftovers
 
 # In place of a folder: the run's own, which `run_dir` names or the sweep gives it.
 AUTO = "auto"

@@ -32,10 +32,11 @@ from dune_rl.config.group_files import describe_owner
 from dune_rl.config.schema import Conf
 from dune_rl.core import paths
 from dune_rl.core.errors import CheckpointError, ConfigError, DuneError
+from dune_rl.core.folder_lock import LOCK_FILE
 from dune_rl.core.machine import available_cores
 from dune_rl.core.ray_cluster import check_installed
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE, CONFIG_FILE
-from dune_rl.learning.run.locks import LOCK_FILE, check_unused, reserve_cores
+from dune_rl.learning.run.locks import check_unused, reserve_cores
 
 if TYPE_CHECKING:
     from dune_rl.learning.trainer import TrainingResult

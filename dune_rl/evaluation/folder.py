@@ -14,11 +14,11 @@ from dune_rl.config.checks import validate
 from dune_rl.config.commands import EvaluateConf
 from dune_rl.core.errors import CheckpointError, ConfigError
 from dune_rl.core.files import sha256_of, write_atomically, write_csv
+from dune_rl.core.folder_lock import FolderLock
 from dune_rl.core.untrusted_files import parse_yaml
 from dune_rl.evaluation.blocks import FinishedEpisode
 from dune_rl.evaluation.columns import describe_columns
 from dune_rl.evaluation.tables import write_tables
-from dune_rl.learning.run.locks import RunLock
 
 CONFIG, PROVENANCE, COLUMNS = "config.yaml", "provenance.json", "columns.csv"
 EPISODES, STEPS, COMPARISON, SUMMARY = "episodes", "steps", "comparison", "summary"
@@ -46,7 +46,7 @@ class ResultsFolder:
         self.finished: dict[tuple[int, int], FinishedEpisode] = {}
         self.is_new = False
         try:
-            self._lock = RunLock(path)
+            self._lock = FolderLock(path)
         except CheckpointError:
             raise ConfigError(f"another evaluation is writing to {path}; choose another out=FOLDER") from None
 

@@ -17,9 +17,9 @@ from dune_rl import train
 from dune_rl.commands.resuming import find_own_run
 from dune_rl.config.compose import compose
 from dune_rl.config.schema import Conf
+from dune_rl.core.folder_lock import LOCK_FILE
 from dune_rl.learning.checkpoint import write_checkpoint_file
 from dune_rl.learning.run import log, progress
-from dune_rl.learning.run.locks import LOCK_FILE
 from dune_rl.learning.run.progress import LineReporter, TrainingStatus
 
 Call = Callable[..., int]

@@ -10,11 +10,11 @@ from report_runs import episode_rows, write_evaluation
 
 from dune_rl import report
 from dune_rl.commands import command_line
+from dune_rl.core import replaced_folder
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.paths import unused_folder
-from dune_rl.reporting import folder as report_folder
 from dune_rl.reporting import output
-from dune_rl.reporting.folder import write_aside
+from dune_rl.reporting.folder import replace_report
 
 
 def write_files(folder: Path, text: str) -> None:
@@ -32,13 +32,13 @@ def files(folder: Path) -> list[str]:
 
 def test_a_report_is_there_when_it_is_complete(tmp_path: Path) -> None:
     out = tmp_path / "reports" / "r"
-    with write_aside(out, overwrite=False) as aside:
+    with replace_report(out, overwrite=False) as aside:
         write_files(aside, "a")
         assert not out.exists() and aside.is_relative_to(out.parent)
     assert files(tmp_path / "reports") == ["r", "r/figures", "r/index.html", "r/tables", "r/tables/a.csv"]
-    with pytest.raises(ConfigError, match="overwrite=true"), write_aside(out, overwrite=False):
+    with pytest.raises(ConfigError, match="overwrite=true"), replace_report(out, overwrite=False):
         pass
-    with write_aside(out, overwrite=True) as aside:
+    with replace_report(out, overwrite=True) as aside:
         write_files(aside, "b")
         assert (out / "index.html").read_text() == "a"
     assert files(tmp_path / "reports") == ["r", "r/figures", "r/index.html", "r/tables", "r/tables/b.csv"]
@@ -48,7 +48,7 @@ def test_the_folder_itself_stays_where_it_is_there_already(tmp_path: Path) -> No
     (tmp_path / "target").mkdir()
     (tmp_path / "link").symlink_to(tmp_path / "target")
     before = (tmp_path / "target").stat().st_ino
-    with write_aside(tmp_path / "link", overwrite=False) as aside:
+    with replace_report(tmp_path / "link", overwrite=False) as aside:
         write_files(aside, "a")
     assert (tmp_path / "link").is_symlink() and (tmp_path / "target").stat().st_ino == before
     assert (tmp_path / "target" / "index.html").read_text() == "a"
@@ -56,7 +56,7 @@ def test_the_folder_itself_stays_where_it_is_there_already(tmp_path: Path) -> No
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, command_line.Terminated, OSError])
 def test_nothing_is_left_of_what_is_cut_off(error: type[BaseException], tmp_path: Path) -> None:
-    with pytest.raises(error), write_aside(tmp_path / "new" / "r", overwrite=False) as aside:
+    with pytest.raises(error), replace_report(tmp_path / "new" / "r", overwrite=False) as aside:
         write_files(aside, "a")
         raise error
     assert files(tmp_path) == []
@@ -65,30 +65,30 @@ def test_nothing_is_left_of_what_is_cut_off(error: type[BaseException], tmp_path
 def test_the_old_report_comes_back_if_the_new_one_cannot_be_put_in_place(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with write_aside(tmp_path / "r", overwrite=False) as aside:
+    with replace_report(tmp_path / "r", overwrite=False) as aside:
         write_files(aside, "a")
     before = files(tmp_path)
-    move = report_folder.shutil.move
+    move = replaced_folder.shutil.move
 
     def fail(source: Path, target: Path) -> None:
         if source.name == "index.html" and source.parent.name == "new":
             raise OSError("full")
         move(source, target)
 
-    monkeypatch.setattr(report_folder.shutil, "move", fail)
-    with pytest.raises(OSError, match="full"), write_aside(tmp_path / "r", overwrite=True) as aside:
+    monkeypatch.setattr(replaced_folder.shutil, "move", fail)
+    with pytest.raises(OSError, match="full"), replace_report(tmp_path / "r", overwrite=True) as aside:
         write_files(aside, "b")
     assert files(tmp_path) == before and (tmp_path / "r" / "index.html").read_text() == "a"
 
 
 def test_one_process_at_a_time_writes_to_a_folder(tmp_path: Path) -> None:
-    with write_aside(tmp_path / "r", overwrite=False) as aside:
+    with replace_report(tmp_path / "r", overwrite=False) as aside:
         with (
-            pytest.raises(ConfigError, match=r"another process is writing a report to .*r; choose another"),
-            write_aside(tmp_path / "r", overwrite=True),
+            pytest.raises(ConfigError, match=r"another process is writing to .*r; choose another"),
+            replace_report(tmp_path / "r", overwrite=True),
         ):
             pass
-        with write_aside(tmp_path / "other", overwrite=False) as other:
+        with replace_report(tmp_path / "other", overwrite=False) as other:
             write_files(other, "b")
         write_files(aside, "a")
     assert (tmp_path / "r" / "index.html").read_text() == "a"
@@ -98,7 +98,7 @@ def test_what_a_killed_process_left_is_removed(tmp_path: Path) -> None:
     left = tmp_path / ".r.part" / "new"
     left.mkdir(parents=True)
     (left / "half.png").write_text("half")
-    with write_aside(tmp_path / "r", overwrite=False) as aside:
+    with replace_report(tmp_path / "r", overwrite=False) as aside:
         write_files(aside, "a")
     assert files(tmp_path) == ["r", "r/figures", "r/index.html", "r/tables", "r/tables/a.csv"]
 

@@ -152,7 +152,9 @@ class NotUtf8(str):
 def test_a_message_with_damaged_text_is_left_out(network: NetworkConf, participant: Participant) -> None:
     subscription = participant.subscribe("/scan", "sensor_msgs/msg/LaserScan")
     other = DomainParticipant(network.domain_id)
-    writer = DataWriter(other, Topic(other, "rt/scan", ros2_idl.LaserScan), Qos(Policy.Reliability.Reliable(0)))
+    writer = DataWriter(
+        other, Topic(other, "rt/scan", ros2_idl.LaserScan), Qos(Policy.Reliability.Reliable(0))
+    )
     header = ros2_idl.Header(ros2_idl.Time(1, 0), "lidar_link")
     damaged = ros2_idl.Header(ros2_idl.Time(1, 0), NotUtf8())
     scans = [ros2_idl.LaserScan(each, *[0.0] * 7, [], []) for each in (header, damaged)]

@@ -16,7 +16,7 @@ from dune_rl.core.paths import file_stem
 from dune_rl.core.version import VERSION
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.gazebo.episode import is_recorded
-from dune_rl.gazebo.folder import check_folder, write_aside
+from dune_rl.gazebo.folder import check_folder, replace_export
 from dune_rl.gazebo.robot.files import WrittenRobot
 from dune_rl.gazebo.scene import SURFACES, WORLD, WrittenScene, write_robots, write_scene
 
@@ -46,7 +46,7 @@ def export_scene(conf: GazeboConf, *, with_world: bool, with_robots: bool) -> No
     simulation = make_simulation(without_ends(conf), 1, conf.seed)
     try:
         simulation.reset()
-        with write_aside(out, _manifest(conf), overwrite=conf.overwrite) as folder:
+        with replace_export(out, _manifest(conf), overwrite=conf.overwrite) as folder:
             if with_world:
                 scene = write_scene(
                     folder, _name_of(conf), simulation, conf.duration_s, with_robots=with_robots
