@@ -5,6 +5,7 @@ import pytest
 
 from dune_rl.sensors.lidar import LidarConf
 from dune_rl.visualization.film_frame import FilmFrame, draw_map, draw_scan, fit_picture
+from dune_rl.visualization.video import enlarge
 
 LIDAR = LidarConf()
 SIZE = 120, 90
@@ -89,3 +90,12 @@ def test_a_map_shows_the_way_and_the_others_where_they_are() -> None:
     np.testing.assert_allclose(drawn_at(other, bare), [80.0, 30.0], atol=1.0)
     goal = draw_map(ground, way, np.zeros((0, 2)), np.array([90.0, 60.0]))
     np.testing.assert_allclose(drawn_at(goal, bare), [90.0, 60.0], atol=1.0)
+
+
+def test_enlarged_pictures_keep_places_and_colours() -> None:
+    picture = np.zeros((36, 48, 3), np.uint8)
+    picture[:18, 24:] = 200, 40, 90
+    larger = enlarge(picture, 72, 54)
+    assert larger.shape == (54, 72, 3)
+    assert np.abs(larger[:24, 40:].astype(int) - [200, 40, 90]).max() <= 4
+    assert larger[:, :32].max() <= 4 and larger[30:].max() <= 4

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -18,7 +17,7 @@ from dune_rl.rendering.renderer import Renderer, Viewpoint
 from dune_rl.reporting.views.episode import EpisodeView
 from dune_rl.reporting.views.shots import plan_shots
 from dune_rl.visualization.film_frame import FilmFrame, draw_map, draw_scan, fit_picture
-from dune_rl.visualization.video import open_video
+from dune_rl.visualization.video import enlarge, open_video
 
 Picture = NDArray[np.uint8]
 # The last picture of a film stays this long.
@@ -164,8 +163,7 @@ class _Frames:
             panels[_SCAN] = draw_scan(ranges, self._lidar, goal, self._layout.panel_size(_SCAN))
         picture = self._camera_of(number).render(instant.bodies)
         if self._traced_size != self._layout.picture_size:
-            enlarged = Image.fromarray(picture).resize(self._layout.picture_size, Image.Resampling.BILINEAR)
-            picture = np.asarray(enlarged)
+            picture = enlarge(picture, *self._layout.picture_size)
         return self._layout.compose(picture, panels, instant.lines, instant.ending)
 
     def _camera_of(self, number: int) -> FixedCamera:
