@@ -164,7 +164,8 @@ def _simulation(chosen: Combination, steps: int, files: Path, scenes: int) -> Ve
 def _drive(simulation: VectorSimulation, *, steps: int = 0, episodes: int = 0) -> Drive:
     """Drive on until the first `episodes` have ended or, without a number of them, have `steps` in all."""
     found, ended, lengths = Drive(), set[int](), dict[int, int]()
-    _record(simulation, found.digests, None, range(simulation.num_scenes))
+    # After a restored state, the steps that scenes are in were taken before.
+    _record(simulation, found.digests, None, np.flatnonzero(simulation.steps == 0).tolist())
     while True:
         actions = {group.name: _draw_actions(simulation, group) for group in simulation.external}
         result = simulation.step(actions)
