@@ -185,6 +185,8 @@ ARM = CART[CART.index('<joint name="arm_joint"') : CART.index("</joint>", CART.i
         (ARM, "", r"2 links have no parent \(base_footprint, arm\); join all but the base"),
         ('<child link="arm"/>', '<child link="leg"/>', r"joint 'arm_joint': its child is 'leg', and no link"),
         ('type="revolute"', 'type="floating"', r"joint 'arm_joint' has the type 'floating'; types are fixed"),
+        ('<link name="laser"/>', f'<link name="{"x" * 5000}"/>', r"a <link> has a name of 5,000 letters, more"),
+        ('<robot name="cart"', f'<robot name="{"x" * 5000}"', r"a <robot> has a name of 5,000 letters, more"),
         ('<link name="laser"/>', '<link name="arm"/>', r"there are two links 'arm'; rename one"),
         ('<axis xyz="0 0 1"/>', '<axis xyz="0 0 0"/>', r"joint 'wheel_l_joint': its <axis> has no length"),
         ('<axis xyz="0 0 1"/>', '<axis xyz="1 0 0"/>',

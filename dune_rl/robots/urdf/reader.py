@@ -19,6 +19,8 @@ _XACRO = "xacro"
 Part = TypeVar("Part", Link, Joint)
 _MAX_BYTES = 16 * 2**20
 _MOST_LINKS = 500
+# PyBullet's room for a name is 1,024 bytes, which a longer one overflows; a letter has up to four.
+_MOST_LETTERS = 255
 # Elements of a plugin that name joints: <left_joint>, <front_left_steering_joint>, <joint_name> and so on.
 _JOINT_TAG = re.compile(r"joint", re.IGNORECASE)
 # Rollers at 45 degrees are modelled by friction along a diagonal.
@@ -70,7 +72,7 @@ def _read_model(root: Element, path: Path) -> UrdfModel:
         raise _FaultError(f"it has {len(links)} links, more than {_MOST_LINKS}; leave some out.")
     joints = _by_name("joints", (_joint(element, links) for element in root.findall("joint")))
     base = _base_of(links, joints.values())
-    return UrdfModel(path, root.get("name", "robot"), base, links, joints, _read_hints(root))
+    return UrdfModel(path, _checked(root.get("name", "robot"), root), base, links, joints, _read_hints(root))
 
 
 def _by_name(kind: str, parts: Iterable[Part]) -> dict[str, Part]:
@@ -161,6 +163,14 @@ def _name(element: Element) -> str:
     name = element.get("name", "")
     if not name:
         raise _FaultError(f"a <{element.tag}> has no name; give it one.")
+    return _checked(name, element)
+
+
+def _checked(name: str, element: Element) -> str:
+    if len(name) > _MOST_LETTERS:
+        raise _FaultError(
+            f"a <{element.tag}> has a name of {len(name):,} letters, more than {_MOST_LETTERS}; shorten it."
+        )
     return name
 
 
