@@ -6,6 +6,7 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
@@ -140,7 +141,11 @@ def _yaml(data: bytes, rng: Rng) -> bytes:
         tree = yaml.load(data, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
     except (ValueError, yaml.YAMLError, RecursionError):
         return _text(data, rng)
-    return _text(data, rng) if rng.random() < 0.4 else yaml.safe_dump(mutate_tree(tree, rng)).encode()
+    if rng.random() < 0.4:
+        return _text(data, rng)
+    # Without the comment that says in which package a file of Hydra is, all of it would be refused.
+    comments = list(takewhile(lambda line: line.startswith(b"#"), data.splitlines(keepends=True)))
+    return b"".join(comments) + yaml.safe_dump(mutate_tree(tree, rng)).encode()
 
 
 def _png(data: bytes, rng: Rng) -> bytes:
