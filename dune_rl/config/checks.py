@@ -42,6 +42,8 @@ _RANGES = {
     "less_than": ("lt", "below"),
     "multiple_of": ("multiple_of", "a multiple of"),
 }
+# Of whole numbers that are floating-point numbers, too.
+_MOST_DIGITS = 300
 # Letters of a value in a message.
 _LONGEST_VALUE = 300
 # By the beginning of pydantic's name of an error.
@@ -67,9 +69,25 @@ def validate(model: type[Model], data: Mapping[str, Any], earlier: Sequence[str]
         settings = model.model_validate(data)
     except ValidationError as error:
         raise ConfigError("\n".join(unique_lines([*earlier, *describe_faults(error, model, data)]))) from None
+    except OverflowError:
+        # Of checks that compute with what is a whole number.
+        large = [f"{_dotted(path)} must be a smaller number" for path in _enormous_numbers(data)]
+        raise ConfigError("\n".join(unique_lines([*earlier, *large]))) from None
     if earlier:
         raise ConfigError("\n".join(unique_lines(earlier)))
     return settings
+
+
+def _enormous_numbers(data: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
+    """Paths of the whole numbers in `data`, also as text, that have no floating-point number."""
+    if isinstance(data, Mapping):
+        for key, value in data.items():
+            yield from _enormous_numbers(value, (*path, key))
+    elif isinstance(data, list | tuple):
+        for index, value in enumerate(data):
+            yield from _enormous_numbers(value, (*path, index))
+    elif not isinstance(data, float) and len(str(data)) > _MOST_DIGITS and str(data).lstrip("-").isdigit():
+        yield path
 
 
 def unique_lines(lines: Iterable[str]) -> list[str]:

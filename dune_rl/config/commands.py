@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self, get_args
 
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
-from dune_rl.config.schema import EnvConf
+from dune_rl.config.schema import EnvConf, Seed
 from dune_rl.core.suggestions import closest
 from dune_rl.env.randomisation import RandomisationConf
 from dune_rl.ros.settings import LiveConf, NetworkConf
@@ -37,7 +37,7 @@ class BenchmarkConf(EnvConf):
     processes: tuple[Annotated[int, Field(ge=1)], ...] = (1, 2)
     algorithms: tuple[str, ...] = ("sac",)
     film_s: float = Field(60.0, gt=0.0)
-    seed: int = Field(0, ge=0)
+    seed: Seed = 0
 
 
 BuiltInPolicy = Literal["dwa", "dwa_oracle", "go_to_goal", "mppi", "oracle", "planner", "random"]
@@ -52,7 +52,7 @@ class ViewConf(EnvConf):
     policy: BuiltInPolicy | None = None
     agent: str | None = None
     set: str | None = None
-    seed: int = Field(0, ge=0)
+    seed: Seed = 0
     episode: int = Field(0, ge=0)
     after_s: float = Field(3.0, ge=0.0)
     longest_s: float = Field(60.0, gt=0.0)
@@ -91,7 +91,7 @@ class ViewConf(EnvConf):
 class GazeboConf(EnvConf):
     """The export of a scene for Gazebo: its world, `duration_s` of its actors' motion, and its robots."""
 
-    seed: int = Field(0, ge=0)
+    seed: Seed = 0
     duration_s: float = Field(60.0, gt=0.0, le=3_600.0)
     out: str | None = Field(None, min_length=1)
     overwrite: bool = False
@@ -107,7 +107,7 @@ class RosConf(EnvConf, NetworkConf, LiveConf):
     """A scene on live topics of ROS 2; a `checkpoint` brings the settings of its run."""
 
     checkpoint: str | None = None
-    seed: int = Field(0, ge=0)
+    seed: Seed = 0
     episode: int = Field(0, ge=0)
 
 
@@ -115,9 +115,9 @@ class ForecastConf(EnvConf):
     """The learning of a motion forecast from `episodes` that `policy` drives."""
 
     policy: BuiltInPolicy = "dwa"
-    episodes: int = Field(450, ge=1)
+    episodes: int = Field(450, ge=1, le=10_000_000)
     scenes: int = Field(16, ge=1, le=8_192)
-    seed: int = Field(0, ge=0)
+    seed: Seed = 0
     held_out: float = Field(0.15, gt=0.0, lt=1.0)
     updates: int = Field(20_000, ge=2)
     batch_size: int = Field(512, ge=1, le=1_000_000)
@@ -184,12 +184,12 @@ class EvaluateConf(EnvConf):
     policy: Names = ()
     against: Names = ()
     set: str | None = None
-    episodes: int | None = Field(None, ge=1)
+    episodes: int | None = Field(None, ge=1, le=10_000_000)
     protocol: Literal["paper", "dune_code"] | None = None
     runs: int | None = Field(None, ge=1)
     run_steps: int | None = Field(None, ge=1, le=MOST_RUN_STEPS)
     scenes: int = Field(16, ge=1, le=8_192)
-    seed: int = Field(0, ge=0)
+    seed: Seed = 0
     processes: Processes = 1
     steps: Annotated[bool | int, BeforeValidator(_steps_kept)] = False
     actor_steps: bool = False

@@ -25,6 +25,8 @@ from dune_rl.worlds.settings import WorldSettings
 
 WorldConf = Annotated[SerializeAsAny[WorldSettings], BeforeValidator(WORLDS.parse_settings)]
 AlgorithmConf = Annotated[SerializeAsAny[LearningConf], BeforeValidator(ALGORITHMS.parse_settings)]
+# Of as many bits as tables keep of it.
+Seed = Annotated[int, Field(ge=0, lt=2**63)]
 
 
 class EnvConf(Settings):
@@ -231,7 +233,7 @@ class Conf(EnvConf):
     """A training run: every external group learns, or acts by a frozen policy."""
 
     learning: AlgorithmConf = Field(default_factory=lambda: ALGORITHMS.parse_settings({"name": "sac"}))
-    seed: int = Field(1, ge=0)
+    seed: Seed = 1
     total_frames: int = Field(2_500_000, ge=1)
     device: Literal["cpu", "cuda"] = "cpu"
     run_dir: str = Field("runs", min_length=1)

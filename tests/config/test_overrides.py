@@ -131,6 +131,14 @@ def test_bad_overrides(overrides: list[str], message: str) -> None:
     assert str(caught.value) == message
 
 
+def test_enormous_numbers_are_named() -> None:
+    steps = "task.terminations.time_limit.max_steps"
+    with pytest.raises(ConfigError, match=f"^{steps} must be a smaller number$"):
+        compose(Conf, ["+world=flat", f"{steps}={'9' * 400}"])
+    with pytest.raises(ConfigError, match=r"^seed must be below 9223372036854775808 \(got 1"):
+        compose(Conf, ["+world=flat", f"seed={10**30}"])
+
+
 def test_faults_come_together() -> None:
     with pytest.raises(ConfigError) as caught:
         compose(
