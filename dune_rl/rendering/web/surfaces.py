@@ -15,7 +15,7 @@ from dune_rl.rendering.weather import Haze, Sky
 from dune_rl.rendering.web.gltf import Bytes, Surface
 
 # Of light in surfaces for viewers with a tone map of their own: the value 1 is this bright.
-_GAIN = 2.0
+GAIN = 2.0
 _SKY_ROWS, _SKY_COLUMNS = 512, 1024
 # The ground's picture is enlarged to at most this size.
 _MOST_TEXELS = 2_048
@@ -65,13 +65,13 @@ class _Paint:
 
     def __init__(self, tone_mapped: bool) -> None:
         self._tone_mapped = tone_mapped
-        self.gain = 1.0 if tone_mapped else _GAIN
+        self.gain = 1.0 if tone_mapped else GAIN
 
     def linear(self, shown: Bytes) -> Floats:
         """Linear RGB (..., 3), over the gain, of sRGB bytes that the renderer would show."""
         if self._tone_mapped:
             return srgb_to_linear(shown.astype(np.float32) / np.float32(255.0))
-        return np.minimum(TONES_FROM_BYTES.take(shown) / np.float32(_GAIN), np.float32(1.0))
+        return np.minimum(TONES_FROM_BYTES.take(shown) / np.float32(GAIN), np.float32(1.0))
 
     def picture(self, shown: Bytes) -> Bytes:
         """The same as sRGB bytes."""
