@@ -1,5 +1,6 @@
 """The end of a training: a film of the best policy, and what to do next."""
 
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,8 +18,21 @@ if TYPE_CHECKING:
 FILM_FILE = "film.mp4"
 
 
+def choose_episode(rows: Sequence[Mapping[str, float]]) -> int:
+    """Number of the longest evaluation episode with success or, without any, of the longest one.
+
+    `rows` are those of the agents; the first agent of an episode counts, as it is the one in the film.
+    """
+    firsts = [row for row in rows if row["agent"] == 0.0]
+    longest = max(firsts, key=lambda row: (row.get("success") == 1.0, row["steps"]), default={"episode": 0.0})
+    return int(longest["episode"])
+
+
 def film_run(console: Console, conf: Conf, result: "TrainingResult") -> None:
-    """Write the film of the best policy in the first episode of the run's evaluations."""
+    """Write the film of the best policy in one episode of its evaluation, by `choose_episode`.
+
+    `conf` has the settings of the evaluations.
+    """
     from dune_rl.learning.run.tensorboard import log_film, reduce_picture
     from dune_rl.reporting.views.episode import EpisodeView
     from dune_rl.reporting.views.film import write_video
@@ -28,6 +42,7 @@ def film_run(console: Console, conf: Conf, result: "TrainingResult") -> None:
         **environment,
         checkpoint=str(result.run_dir),
         seed=conf.seed + conf.learning.evaluation.seed_offset,
+        episode=choose_episode(result.best_evaluation.get(conf.driven_group.name, [])),
         width=960,
         height=540,
         samples=1,

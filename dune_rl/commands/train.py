@@ -270,7 +270,7 @@ def train(conf: Conf, resume: Path | None = None, words: Sequence[str] = ()) -> 
         sys.exit(128 + result.signal)
     if conf.film:
         try:
-            film_run(console, conf, result)
+            film_run(console, evaluated, result)
         except (DuneError, OSError) as error:
             # All else of the run is there, a sweep's objective too.
             command_line.print_error(f"note: {FILM_FILE} is left out: {error}")

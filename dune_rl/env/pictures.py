@@ -5,19 +5,17 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from dune_rl.env.agent_group import AgentGroup
+from dune_rl.env.goal_markers import goal_flag
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.shared_per_scene import DerivedCache
 from dune_rl.rendering.baked_scenery import BakedScenery
-from dune_rl.rendering.light import srgb_to_linear
 from dune_rl.rendering.moving_mesh import PosedMesh, RayMesh
 from dune_rl.rendering.participating_media import ParticipatingMedia
 from dune_rl.rendering.renderer import Renderer, Viewpoint
-from dune_rl.rendering.scenery import ColouredMesh, Segment, join_meshes
 from dune_rl.worlds.appearance import bake_in_weather
 from dune_rl.worlds.batched_worlds import WorldAppearance
 from dune_rl.worlds.world import Rectangle, World
@@ -34,7 +32,6 @@ _TURNS_DEG = (0.0, 40.0, -40.0, 80.0, -80.0, 130.0, -130.0, 180.0)
 _HALF_ROBOT_M = 0.35
 # Smaller sites are seen from steeper above, and of larger ones a part.
 _SMALL_SITE_M, _LARGEST_SITE_M = 25.0, 60.0
-_GOAL_COLOUR = (0.10, 0.75, 0.35)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +57,7 @@ class Pictures:
 
     @cached_property
     def _flag(self) -> RayMesh:
-        return RayMesh(_goal_flag())
+        return RayMesh(goal_flag())
 
     def bodies(self, scene: int) -> list[PosedMesh]:
         """The agents of all groups, and a flag at the goal of each robot."""
@@ -271,24 +268,3 @@ def _site(world: World) -> Rectangle:
 
 def _painter(look: WorldAppearance) -> Renderer:
     return Renderer(bake_in_weather(look.world, look.weather), look.media)
-
-
-def _goal_flag() -> ColouredMesh:
-    pole = trimesh.creation.cylinder(0.025, 1.6, sections=12)
-    pole.apply_translation([0.0, 0.0, 0.8])
-    flag = trimesh.creation.box([0.02, 0.55, 0.32])
-    flag.apply_translation([0.0, 0.29, 1.42])
-    disc = trimesh.creation.annulus(0.32, 0.42, 0.04, sections=32)
-    disc.apply_translation([0.0, 0.0, 0.06])
-    shapes = []
-    for mesh, colour in ((pole, (0.9, 0.9, 0.88)), (flag, _GOAL_COLOUR), (disc, _GOAL_COLOUR)):
-        count = len(mesh.faces)
-        shapes.append(
-            ColouredMesh(
-                np.asarray(mesh.vertices),
-                np.asarray(mesh.faces, np.int32),
-                np.tile(srgb_to_linear(np.array(colour)), (count, 1)),
-                np.full(count, Segment.SKY, np.uint8),
-            )
-        )
-    return join_meshes(shapes)

@@ -152,6 +152,7 @@ class PeriodicEvaluation:
         self._evaluated_at = -1
         self._next_at = conf.every_frames
         self.rows: dict[str, list[MetricsRow]] = {}
+        self.best_rows: dict[str, list[MetricsRow]] = {}
 
     def is_due(self, frames: int) -> bool:
         return frames >= self._next_at
@@ -209,7 +210,7 @@ class PeriodicEvaluation:
         mean = sum(scores) / len(scores)
         is_best = mean >= self._best_score
         if is_best:
-            self._best_score = mean
+            self._best_score, self.best_rows = mean, rows
         return is_best
 
     def _judged_statistics(self) -> list[MetricsRow]:
@@ -234,6 +235,7 @@ class PeriodicEvaluation:
             "evaluated_at": self._evaluated_at,
             "next_evaluation": self._next_at,
             "rows": self.rows,
+            "best_rows": self.best_rows,
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -242,6 +244,7 @@ class PeriodicEvaluation:
         self._next_at = state["next_evaluation"]
         # Earlier versions did not save them.
         self.rows = dict(state.get("rows", {}))
+        self.best_rows = dict(state.get("best_rows", self.rows))
 
     def close(self) -> None:
         self._env.close()

@@ -55,8 +55,9 @@ _DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 class TrainingResult:
     """Result of a run. `signal` is the number of the signal that stopped it early, or None.
 
-    `updates` is the sum over the groups. `specs` are those of the policies, and `evaluation` holds the
-    episodes of the last evaluation, by group; `history` holds the rows of metrics.csv.
+    `updates` is the sum over the groups. `specs` are those of the policies. `evaluation` holds the episodes
+    of the last evaluation, by group, and `best_evaluation` those of the best policy; `history` holds the
+    rows of metrics.csv.
     """
 
     run_dir: Path
@@ -65,6 +66,7 @@ class TrainingResult:
     signal: int | None
     specs: dict[str, PolicySpec]
     evaluation: dict[str, list[MetricsRow]]
+    best_evaluation: dict[str, list[MetricsRow]]
     history: list[dict[str, Any]]
 
 
@@ -247,6 +249,7 @@ class Trainer:
             stop.signal,
             {group: learner.context.spec for group, learner in self._learners.items()},
             self._evaluation.rows,
+            self._evaluation.best_rows,
             self._log.history,
         )
 

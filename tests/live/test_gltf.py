@@ -39,6 +39,15 @@ def values_of(file: bytes, accessor: int) -> NDArray[np.float32]:
     return values.reshape(-1, width)
 
 
+def colours_of(file: bytes) -> NDArray[np.float64]:
+    """RGBA (F, 3, 4) of the corners of the first mesh's faces."""
+    tree, binary = tree_of(file)
+    colours = tree["accessors"][tree["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]]
+    assert (colours["componentType"], colours["type"], colours["normalized"]) == (5123, "VEC4", True)
+    start = tree["bufferViews"][colours["bufferView"]]["byteOffset"]
+    return np.frombuffer(binary, np.uint16, 4 * colours["count"], start).reshape(-1, 3, 4) / 65535.0
+
+
 def test_a_mesh_is_read_back_where_its_nodes_are() -> None:
     file = GltfFile(y_up=False)
     mesh = file.add_mesh([Surface(CORNERS, COLOURS)])
@@ -53,13 +62,16 @@ def test_a_mesh_is_read_back_where_its_nodes_are() -> None:
 def test_each_face_has_its_colour() -> None:
     file = GltfFile()
     file.add_node("mesh", file.add_mesh([Surface(CORNERS, COLOURS)]))
-    tree, binary = tree_of(file.to_bytes())
-    colours = tree["accessors"][tree["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]]
-    assert (colours["componentType"], colours["type"], colours["normalized"]) == (5123, "VEC4", True)
-    start = tree["bufferViews"][colours["bufferView"]]["byteOffset"]
-    values = np.frombuffer(binary, np.uint16, 4 * colours["count"], start).reshape(2, 3, 4) / 65535.0
+    values = colours_of(file.to_bytes())
     np.testing.assert_allclose(values[..., :3], np.repeat(COLOURS[:, None], 3, axis=1), atol=1e-4)
     assert (values[..., 3] == 1.0).all()
+
+
+def test_corners_of_a_face_may_have_colours_of_their_own() -> None:
+    shades = np.linspace(0.0, 1.0, 18, dtype=np.float32).reshape(2, 3, 3)
+    file = GltfFile()
+    file.add_node("mesh", file.add_mesh([Surface(CORNERS, shades)]))
+    np.testing.assert_allclose(colours_of(file.to_bytes())[..., :3], shades, atol=1e-4)
 
 
 def test_files_have_the_y_axis_of_gltf_upwards() -> None:

@@ -57,8 +57,30 @@ def test_a_gltf_has_each_body_where_it_was(
     assert (numbers["rover_0_1"], "rotation") in samplers
     assert (numbers["goal_of_rover_0_0"], "translation") not in samplers
     scene = trimesh.load(BytesIO(content), file_type="glb")
+    scene.delete_geometry(scene.graph["sky"][1])
     # The y axis is up.
     assert scene.extents[1] < 5.0 < scene.extents[0]
+
+
+def test_the_sky_of_a_gltf_encloses_the_world_closely_and_is_seen_from_within(
+    call: Call, folder: Path
+) -> None:
+    assert call(*WORDS, "view=gltf", "longest_s=0.1") == 0
+    content = (folder / "views" / "flat_seed4.glb").read_bytes()
+    scene = trimesh.load(BytesIO(content), file_type="glb")
+    pose, name = scene.graph["sky"]
+    sky, middle = scene.geometry[name], pose[:3, 3]
+    scene.delete_geometry(name)
+    world = scene.to_geometry()
+    farthest_m = np.linalg.norm(world.vertices - middle, axis=1).max()
+    facets_m = np.einsum("ij,ij->i", sky.triangles_center, sky.face_normals)[sky.area_faces > 1e-6]
+    # Normals point to the middle.
+    assert facets_m.max() < -farthest_m
+    assert np.linalg.norm(sky.vertices, axis=1).max() < 1.05 * farthest_m
+    tree, _ = tree_of(content)
+    (number,) = [node["mesh"] for node in tree["nodes"] if node["name"] == "sky"]
+    material = tree["materials"][tree["meshes"][number]["primitives"][0]["material"]]
+    assert "KHR_materials_unlit" in material["extensions"] and not material.get("doubleSided")
 
 
 @pytest.mark.slow

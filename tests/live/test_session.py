@@ -1,5 +1,6 @@
 """Episodes on a live page, without a browser: what is sent to it, its drivers, resets and driving by hand."""
 
+import dataclasses
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -9,6 +10,7 @@ import pytest
 
 from dune_rl.config.commands import ViewConf
 from dune_rl.core.errors import ConfigError
+from dune_rl.rendering.light import Light, LightConf
 from dune_rl.rendering.web.server import FIRST_PORT, LAST_PORT, LOCALHOST, check_address
 from dune_rl.reporting.views.episode import EpisodeView
 from dune_rl.reporting.views.live import BY_HAND, LiveSession
@@ -154,3 +156,36 @@ def test_an_address_of_another_machine_is_refused(host: str, conf_of: ConfOf) ->
     with pytest.raises(ConfigError, match=f"host={host} is no address of this machine"):
         LiveSession(view)
     view.close()
+
+
+def test_an_arrow_is_over_the_goal_also_when_it_is_renewed(open_session: Open) -> None:
+    session = open_session("task.terminations.goal_reached.renew=true", "policy=go_to_goal")
+    goals, arrows = [], []
+    while len(np.unique(goals, axis=0)) < 2 and len(goals) < 400:
+        session.step()
+        goals.append(session.view.group.starts.goals_w[0].copy())
+        arrows.append(session.page.server.scene.get_handle_by_name("/bodies/arrow/0").position[:2].copy())
+    assert len(np.unique(goals, axis=0)) == 2
+    np.testing.assert_allclose(arrows, goals, atol=1e-6)
+
+
+def test_grass_is_on_the_page_where_the_world_has_it(open_session: Open) -> None:
+    session = open_session("world.grass_cover=0.05")
+    scene = session.page.server.scene
+    tufts = scene.get_handle_by_name("/world/grass_in_sun").batched_positions
+    world = session.view.simulation.worlds.worlds[0]
+    assert len(tufts) > 100 and (world.grass.foliage.density_at(tufts) > 0.0).all()
+    # Another world, without grass, takes its place.
+    bare = dataclasses.replace(session.page.scene_view.pictures.scenery(0)[1], foliage=None)
+    baked = session.page.scene_view.pictures.scenery(0)[0].relight(Light.from_conf(LightConf()))
+    session.page._web.show_world(baked, bare)
+    assert scene.get_handle_by_name("/world/grass_in_sun") is None
+
+
+def test_the_goal_is_beyond_the_agent_in_the_first_view(open_session: Open) -> None:
+    session = open_session()
+    camera = session.page.server.initial_camera
+    group = session.view.group
+    to_goal = group.starts.goals_w[0] - group.body.motion.position_w[0, :2]
+    seen = (camera.look_at - camera.position)[:2]
+    np.testing.assert_allclose(seen / np.linalg.norm(seen), to_goal / np.linalg.norm(to_goal), atol=1e-6)

@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 
 from dune_rl.env.agent_group import AgentGroup
+from dune_rl.env.goal_markers import goal_arrow
 from dune_rl.env.live.numbers import describe_agent
 from dune_rl.env.live.panel import Panel
 from dune_rl.env.live.playback import Playback
 from dune_rl.env.pictures import Pictures
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.geometry.arrays import Array
+from dune_rl.rendering.moving_mesh import PosedMesh, RayMesh
 from dune_rl.rendering.web.scene import Colour, WebScene
 from dune_rl.rendering.web.server import LOCALHOST, free_port, open_server, stop_server
 from dune_rl.sensors.lidar import LidarConf, ScannerConf
@@ -31,7 +33,7 @@ _MOST_WAY_POINTS = 150
 _ABOVE_GROUND_M = 0.06
 # Numbers and plots are written this often at most, in the viewer's time.
 _NUMBERS_PER_S = 5.0
-_BEHIND_M, _ABOVE_M, _TARGET_M = 4.2, 3.0, 0.4
+_BEHIND_M, _ABOVE_M, _TARGET_M = 6.0, 2.8, 0.4
 _TERM = "reward/"
 # Distance of the points of a track; the oldest ones of a long track are left out.
 _BETWEEN_M, _MOST_TRACK_POINTS = 0.05, 2_000
@@ -43,6 +45,7 @@ class SceneView:
     def __init__(self, simulation: VectorSimulation, web: WebScene, group: AgentGroup, row: int) -> None:
         self._simulation, self._web, self.group, self.row = simulation, web, group, row
         self.pictures = Pictures(simulation)
+        self._arrow = RayMesh(goal_arrow())
         self._track: deque[Array] = deque(maxlen=_MOST_TRACK_POINTS)
 
     @property
@@ -60,16 +63,24 @@ class SceneView:
         self._web.show_world(*self.pictures.scenery(0))
         self._web.load_looks(self.pictures.looks_by_name(0))
         self._track.clear()
-        self._web.look(*self._view_from_behind())
+        self._web.look(*self._first_view())
         self.update()
 
     def show_agent_to(self, client: Any) -> None:
-        """Let one visitor look at the agent from behind."""
-        client.camera.position, client.camera.look_at = self._view_from_behind()
+        """Let one visitor look at the agent."""
+        self._web.show_to(client, *self._first_view())
 
-    def _view_from_behind(self) -> tuple[Array, Array]:
-        """Eye (3,) and target (3,) [m] of a view of the agent from behind and above."""
+    @property
+    def _goal(self) -> Array | None:
+        """Position (2,) [m] of the agent's goal, if it has one."""
+        return self.group.starts.goals_w[self.row] if self.group.task is not None else None
+
+    def _first_view(self) -> tuple[Array, Array]:
+        """Eye (3,) and target (3,) [m] of a view of the agent from above; its goal is beyond it."""
         yaw = float(self.group.body.motion.yaw[self.row])
+        if self._goal is not None:
+            dx, dy = self._goal - self.position[:2]
+            yaw = np.arctan2(dy, dx)
         ahead = np.array([np.cos(yaw), np.sin(yaw), 0.0])
         eye = self.position - _BEHIND_M * ahead
         eye[2] = max(eye[2], self._ground(*eye[:2])) + _ABOVE_M
@@ -78,10 +89,17 @@ class SceneView:
 
     def update(self, *, shows_beams: bool = True, shows_ways: bool = True) -> None:
         """Show the present state."""
-        self._web.show_bodies(self.pictures.bodies_by_name(0))
+        self._web.show_bodies(self.pictures.bodies_by_name(0) | self._goal_arrow())
         self._show_returns(shows_beams)
         self._extend_track()
         self._show_ways(shows_ways)
+
+    def _goal_arrow(self) -> dict[str, list[PosedMesh]]:
+        """An arrow over the goal of the agent, if it has one."""
+        if self._goal is None:
+            return {}
+        position = np.array([*self._goal, self._ground(*self._goal)])
+        return {"arrow": [PosedMesh(self._arrow, position, np.eye(3))]}
 
     def _show_returns(self, is_shown: bool) -> None:
         """Draw the beams of planar LiDARs that return, and the points of those with rings."""
@@ -168,7 +186,7 @@ class LivePage:
         self.server.on_client_connect(self._welcome)
 
     def _welcome(self, client: Any) -> None:
-        """Let a visitor who comes amid an episode see the agent where it is."""
+        """Let a visitor see the agent where it is, once there is an episode."""
         if self._is_begun:
             self.scene_view.show_agent_to(client)
 
@@ -185,7 +203,10 @@ class LivePage:
             self.scene_view.begin()
             if self._is_begun:
                 self._web.follow(self.scene_view.target)
-            self._is_begun = True
+            else:
+                self._is_begun = True
+                for client in self.server.get_clients().values():
+                    self._welcome(client)
         else:
             with self.server.atomic():
                 self.scene_view.update(shows_beams=self.panel.shows_beams, shows_ways=self.panel.shows_ways)

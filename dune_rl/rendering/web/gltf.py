@@ -29,7 +29,8 @@ Bytes = NDArray[np.uint8]
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Triangles with one material: `corners` (F, 3, 3) [m] and `colours` (F, 3) in linear RGB, in [0, 1].
+    """Triangles with one material: `corners` (F, 3, 3) [m] and `colours` in linear RGB, in [0, 1], of faces
+    (F, 3) or of their corners (F, 3, 3).
 
     A `picture` (rows, columns, 3) of sRGB bytes is multiplied by the colours; `uv` (F, 3, 2) are its
     coordinates at the corners, from 0 at its upper left to 1. It repeats beyond, unless it is `clamped`.
@@ -163,11 +164,12 @@ class GltfFile:
 
     def _primitive(self, surface: Surface) -> dict[str, Any]:
         corners = surface.corners.reshape(-1, 3).astype(np.float32)
-        colours = np.concatenate([surface.colours, np.ones((len(surface.colours), 1))], axis=1)
+        colours = np.ones((len(surface.corners), 3, 4))
+        colours[..., :3] = surface.colours.reshape(len(surface.corners), -1, 3)
         words = (np.clip(colours, 0.0, 1.0) * 65535.0 + 0.5).astype(np.uint16)
         attributes = {
             "POSITION": self._accessor(corners, bounds=True),
-            "COLOR_0": self._accessor(np.repeat(words, 3, axis=0)),
+            "COLOR_0": self._accessor(words.reshape(-1, 4)),
         }
         if surface.uv is not None:
             attributes["TEXCOORD_0"] = self._accessor(surface.uv.reshape(-1, 2).astype(np.float32))

@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 from dune_rl.geometry.arrays import Array
 from dune_rl.geometry.frames import quaternions
 from dune_rl.rendering.baked_scenery import BakedScenery
+from dune_rl.rendering.foliage import Foliage
 from dune_rl.rendering.light import Light, linear_to_srgb
 from dune_rl.rendering.moving_mesh import PosedMesh, RayMesh
 from dune_rl.rendering.participating_media import ParticipatingMedia
 from dune_rl.rendering.web.gltf import GltfFile, Surface
+from dune_rl.rendering.web.grass import place_tufts, tuft_surface
 from dune_rl.rendering.web.server import Server
 from dune_rl.rendering.web.surfaces import body_surfaces, sky_surface, world_surfaces
 
@@ -27,6 +29,7 @@ _SHADOW = 0.45
 # Haze of this optical depth hides a surface.
 _HIDING_DEPTH = 3.0
 _FOV_RAD = 0.9
+_GRASS = {"/world/grass_in_sun": True, "/world/grass_in_shade": False}
 
 
 def name_parts(bodies: Mapping[str, Sequence[PosedMesh]]) -> Iterator[tuple[str, PosedMesh]]:
@@ -45,6 +48,14 @@ class _Part:
     shown: RayMesh | None = None
 
 
+@dataclass
+class _Visit:
+    """The first position (3,) of a visitor's camera, and the offset (3,) of `show_to` from its target [m]."""
+
+    first: Array
+    offset: Array
+
+
 class WebScene:
     """The 3D scene of a `server`'s page: a baked world, bodies that move, and lines and points."""
 
@@ -53,6 +64,7 @@ class WebScene:
         self._world: BakedScenery | None = None
         self._parts: dict[str, _Part] = {}
         self._drawn: dict[str, Any] = {}
+        self._visits: dict[int, _Visit] = {}
         server.scene.set_up_direction("+z")
         server.scene.configure_default_lights(False)
         server.scene.configure_environment_map(None)
@@ -72,6 +84,7 @@ class WebScene:
             scene.add_glb("/world/objects", _glb(rest), cast_shadow=False, receive_shadow=False)
         else:
             scene.remove_by_name("/world/objects")
+        self._show_grass(media.foliage, baked)
         sky = sky_surface(baked, media.haze, _SKY_RADIUS_M)
         scene.add_glb("/sky", _glb([sky]), cast_shadow=False, receive_shadow=False)
         self._light_bodies(baked.light)
@@ -80,6 +93,26 @@ class WebScene:
             scene.configure_fog(0.0, _HIDING_DEPTH / media.haze.extinction, color=colour)
         else:
             scene.configure_fog(0.0, 1.0, enabled=False)
+
+    def _show_grass(self, grass: Foliage | None, baked: BakedScenery) -> None:
+        scene = self._server.scene
+        for name in _GRASS:
+            scene.remove_by_name(name)
+        if grass is None:
+            return
+        tufts = place_tufts(grass, baked)
+        for name, in_sun in _GRASS.items():
+            these = tufts.in_sun == in_sun
+            if these.any():
+                scene.add_batched_glb(
+                    name,
+                    _glb([tuft_surface(baked.light, grass.height_m, in_sun=in_sun)]),
+                    tufts.wxyzs[these],
+                    tufts.positions[these],
+                    batched_scales=tufts.scales[these],
+                    cast_shadow=False,
+                    receive_shadow=False,
+                )
 
     def _light_bodies(self, light: Light) -> None:
         """Sun and sky as `Light.shade` has them: three.js divides light by pi where surfaces reflect it."""
@@ -174,13 +207,24 @@ class WebScene:
         camera = self._server.initial_camera
         camera.position, camera.look_at = eye, target
 
+    def show_to(self, client: Any, eye: Array, target: Array) -> None:
+        """Let a visitor look from `eye` (3,) at `target` (3,) [m], and from there on `follow`."""
+        camera = client.camera
+        visit = self._visits.setdefault(client.client_id, _Visit(camera.position, eye - target))
+        visit.offset = eye - target
+        camera.position, camera.look_at = eye, target
+
     def follow(self, target: Array) -> None:
         """Let all who look see `target` (3,) [m], from the side and the distance that each has chosen."""
-        for client in self._server.get_clients().values():
-            camera = client.camera
-            if camera.update_timestamp and not np.allclose(camera.look_at, target, atol=1e-4):
-                camera.position = target + (camera.position - camera.look_at)
-                camera.look_at = target
+        for number, client in self._server.get_clients().items():
+            camera, visit = client.camera, self._visits.get(number)
+            if visit is None:
+                continue
+            # A slow browser reports its first position again, after it was given another.
+            is_late = np.allclose(camera.position, visit.first, atol=1e-4)
+            if is_late or not np.allclose(camera.look_at, target, atol=1e-4):
+                offset = visit.offset if is_late else camera.position - camera.look_at
+                camera.position, camera.look_at = target + offset, target
 
 
 def _glb(surfaces: Sequence[Surface]) -> bytes:

@@ -7,6 +7,7 @@ import socket
 from typing import Any
 
 from dune_rl.core.errors import ConfigError
+from dune_rl.rendering.web.origin_check import refuse_foreign_requests
 
 # viser's ViserServer.
 Server = Any
@@ -26,14 +27,21 @@ def require_viser(setting: str) -> None:
 def open_server(host: str, port: int, title: str, *, announces: bool = False) -> Server:
     """A server on `host` and `port`; 0 is any free port. Raises ConfigError where it cannot listen there.
 
+    It refuses requests of other web pages (`find_refusal`).
     Where it `announces` itself, it writes its address to the terminal, and who comes and goes.
     """
     from viser import ViserServer
 
     check_address(host, port)
     # It writes a banner in any case.
-    with contextlib.nullcontext() if announces else contextlib.redirect_stdout(io.StringIO()):
+    banner = contextlib.nullcontext() if announces else contextlib.redirect_stdout(io.StringIO())
+    with banner, refuse_foreign_requests(host) as guarded:
         server = ViserServer(host, port, label=title, verbose=announces)
+    if not guarded.is_set():
+        stop_server(server)
+        raise ConfigError(
+            "this version of viser would let other web pages use the page: pip install 'viser==1.1.1'"
+        )
     if port not in (0, server.get_port()):
         stop_server(server)
         raise ConfigError(_taken(host, port))

@@ -15,7 +15,7 @@ from dune_rl.rendering.weather import Haze, Sky
 from dune_rl.rendering.web.gltf import Bytes, Surface
 
 # Of light in surfaces for viewers with a tone map of their own: the value 1 is this bright.
-_GAIN = 2.0
+GAIN = 2.0
 _SKY_ROWS, _SKY_COLUMNS = 512, 1024
 # The ground's picture is enlarged to at most this size.
 _MOST_TEXELS = 2_048
@@ -37,15 +37,20 @@ def world_surfaces(baked: BakedScenery, *, tone_mapped: bool = False) -> list[Su
     return [_ground(baked, paint), *_props(baked, paint), *_water(baked, paint)]
 
 
-def sky_surface(baked: BakedScenery, haze: Haze | None, radius_m: float) -> Surface:
-    """The sky as a sphere of `radius_m` about the origin, for viewers with a tone map of their own."""
+def sky_surface(
+    baked: BakedScenery, haze: Haze | None, radius_m: float, *, tone_mapped: bool = False
+) -> Surface:
+    """The sky as a sphere of `radius_m` about the origin, seen from within alone.
+
+    `tone_mapped` is as for `world_surfaces`.
+    """
     elevation = np.pi / 2 - (np.arange(_SKY_ROWS) + 0.5) / _SKY_ROWS * np.pi
     bearing = (np.arange(_SKY_COLUMNS) + 0.5) / _SKY_COLUMNS * 2 * np.pi
     level = np.cos(elevation)[:, None]
     up = np.broadcast_to(np.sin(elevation)[:, None], (_SKY_ROWS, _SKY_COLUMNS))
     directions = np.stack([level * np.cos(bearing), level * np.sin(bearing), up], axis=-1)
     light = Sky(baked.light, haze).colours(directions.reshape(-1, 3).astype(np.float32))
-    paint = _Paint(tone_mapped=False)
+    paint = _Paint(tone_mapped)
     picture = paint.picture(to_srgb_bytes(light)).reshape(_SKY_ROWS, _SKY_COLUMNS, 3)
     v, u = np.meshgrid(np.linspace(0, 1, 25), np.linspace(0, 1, 49), indexing="ij")
     turn, tilt = 2 * np.pi * u, np.pi / 2 - np.pi * v
@@ -56,7 +61,7 @@ def sky_surface(baked: BakedScenery, haze: Haze | None, radius_m: float) -> Surf
     a, b, c, d = (each.ravel() for each in (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]))
     faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
     corners, uv = points.reshape(-1, 3)[faces], np.stack([u, v], axis=-1).reshape(-1, 2)[faces]
-    surface = Surface(corners, np.ones((len(faces), 3), np.float32), picture, uv, lit=False, two_sided=True)
+    surface = Surface(corners, np.ones((len(faces), 3), np.float32), picture, uv, clamped=True, lit=False)
     return replace(surface, gain=paint.gain)
 
 
@@ -65,13 +70,13 @@ class _Paint:
 
     def __init__(self, tone_mapped: bool) -> None:
         self._tone_mapped = tone_mapped
-        self.gain = 1.0 if tone_mapped else _GAIN
+        self.gain = 1.0 if tone_mapped else GAIN
 
     def linear(self, shown: Bytes) -> Floats:
         """Linear RGB (..., 3), over the gain, of sRGB bytes that the renderer would show."""
         if self._tone_mapped:
             return srgb_to_linear(shown.astype(np.float32) / np.float32(255.0))
-        return np.minimum(TONES_FROM_BYTES.take(shown) / np.float32(_GAIN), np.float32(1.0))
+        return np.minimum(TONES_FROM_BYTES.take(shown) / np.float32(GAIN), np.float32(1.0))
 
     def picture(self, shown: Bytes) -> Bytes:
         """The same as sRGB bytes."""

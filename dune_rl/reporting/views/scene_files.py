@@ -15,8 +15,11 @@ from dune_rl.rendering.moving_mesh import PosedMesh, RayMesh
 from dune_rl.rendering.web.gltf import GltfFile
 from dune_rl.rendering.web.scene import WebScene, name_parts
 from dune_rl.rendering.web.server import LOCALHOST, open_server, stop_server
-from dune_rl.rendering.web.surfaces import body_surfaces, world_surfaces
+from dune_rl.rendering.web.surfaces import body_surfaces, sky_surface, world_surfaces
 from dune_rl.reporting.views.episode import EpisodeView
+
+# The sphere of the sky has facets, which lie within it.
+_SKY_MARGIN = 1.02
 
 
 def write_html(view: EpisodeView, path: Path) -> Path:
@@ -41,15 +44,22 @@ def write_html(view: EpisodeView, path: Path) -> Path:
 
 
 def write_gltf(view: EpisodeView, path: Path) -> Path:
-    """An episode as an animated glTF 2.0 (GLB), with the light of pictures on ground and objects."""
+    """An episode as an animated glTF 2.0 (GLB), with the light of pictures on ground and objects.
+
+    The sky is a sphere about the world, as small as can be: the first view of most viewers shows all of it.
+    """
     pictures, parts = Pictures(view.simulation), dict[str, _PartTrack]()
     count = 0
     for count, _ in enumerate(_episode(view), 1):
         for name, part in name_parts(pictures.bodies_by_name(0)):
             parts.setdefault(name, _PartTrack()).add(count - 1, part)
     file = GltfFile()
-    baked, _ = pictures.scenery(0)
-    file.add_node("ground_and_objects", file.add_mesh(world_surfaces(baked, tone_mapped=True)))
+    baked, media = pictures.scenery(0)
+    world = world_surfaces(baked, tone_mapped=True)
+    file.add_node("ground_and_objects", file.add_mesh(world))
+    middle, radius_m = _bounding_sphere(np.concatenate([each.corners.reshape(-1, 3) for each in world]))
+    sky = sky_surface(baked, media.haze, _SKY_MARGIN * radius_m, tone_mapped=True)
+    file.add_node("sky", file.add_mesh([sky]), middle)
     times_s = np.linspace(0.0, (count - 1) * _step_s(view), count)
     meshes: dict[RayMesh, int] = {}
     bodies: dict[str, int] = {}
@@ -77,6 +87,12 @@ def _episode(view: EpisodeView) -> Iterator[bool]:
         yield done
         if steps >= longest:
             return
+
+
+def _bounding_sphere(points: Array) -> tuple[Array, float]:
+    """Middle (3,) and radius [m] of a sphere about points (N, 3)."""
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    return middle, float(np.linalg.norm(points - middle, axis=1).max())
 
 
 def _step_s(view: EpisodeView) -> float:
