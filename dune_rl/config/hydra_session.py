@@ -118,7 +118,9 @@ def compose_config(name: str, request: ParsedOverrides) -> DictConfig:
     try:
         return compose_words(name, request.hydra_words(present_groups(name, request)))
     except (HydraException, OmegaConfBaseException) as error:
-        reason = str(error).splitlines()[0]
+        # Hydra's first line says in which file, and OmegaConf's, the next, what is wrong.
+        first, *others = str(error).splitlines()
+        reason = f"{first} {others[0]}" if others and first.endswith(":") else first
         raise ConfigError("\n".join([*request.faults, f"cannot compose the settings: {reason}"])) from None
     except (TypeError, ValueError):
         # OmegaConf looks for a name in a list.

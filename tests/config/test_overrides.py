@@ -139,6 +139,16 @@ def test_enormous_numbers_are_named() -> None:
         compose(Conf, ["+world=flat", f"seed={10**30}"])
 
 
+def test_what_hydra_cannot_merge_is_said(tmp_path: Path) -> None:
+    (tmp_path / "experiment").mkdir()
+    text = "# @package _global_\ntask:\n  terminations:\n  - null\n"
+    (tmp_path / "experiment" / "mine.yaml").write_text(text)
+    with pytest.raises(
+        ConfigError, match=r"^cannot compose the settings: In 'experiment/mine': .* Cannot merge"
+    ):
+        compose(Conf, ["+world=flat", "+experiment=mine"], [str(tmp_path)])
+
+
 def test_faults_come_together() -> None:
     with pytest.raises(ConfigError) as caught:
         compose(
