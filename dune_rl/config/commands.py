@@ -66,6 +66,13 @@ class ViewConf(EnvConf):
     port: int = Field(8080, ge=1, le=65_535)
     out: str = Field("views", min_length=1)
 
+    @field_validator("out")
+    @classmethod
+    def _names_a_folder(cls, out: str) -> str:
+        if re.search(r"\.(png|jpe?g|mp4|html|glb|gltf)$", out, re.IGNORECASE):
+            raise ValueError(f"{out} is the name of a file; name the folder in which files get their own")
+        return out
+
     @model_validator(mode="after")
     def _one_driver(self) -> Self:
         if self.checkpoint is not None and self.policy is not None:

@@ -235,6 +235,12 @@ def test_two_drivers_are_refused() -> None:
         compose(ViewConf, ["+world=flat", "checkpoint=runs/a", "policy=random"])
 
 
+@pytest.mark.parametrize("name", ["a/film.mp4", "scene.GLB"])
+def test_out_is_no_file(name: str) -> None:
+    with pytest.raises(ConfigError, match=f"^out: {name} is the name of a file; name the folder"):
+        compose(ViewConf, ["+world=flat", f"out={name}"])
+
+
 def test_a_map_that_nobody_drives_has_no_numbered_episode() -> None:
     with pytest.raises(ConfigError, match=r"episode=3 of a set=NAME.* leave episode out"):
         compose(ViewConf, ["+world=flat", "view=map", "episode=3"])
