@@ -15,6 +15,7 @@ from torchrl.envs import EnvBase
 
 from dune_rl.core.errors import DuneError, TrainingError
 from dune_rl.core.ray_cluster import RayCluster
+from dune_rl.core.untrusted_files import first_line
 
 # Seconds between two looks at the cluster; in which all losses by the end of one node are known; and after
 # which the user is told that no batch comes.
@@ -159,7 +160,9 @@ class RayWorkers:
         self._cluster.check()
         self._lost_in_a_row += 1
         if self._lost_in_a_row > self._workers:
-            raise TrainingError(f"Ray workers are lost before they give a batch: {error}") from error
+            # Ray's own text has a line for each of what it knows.
+            reason = first_line(error)
+            raise TrainingError(f"Ray workers are lost before they give a batch: {reason}") from error
         if not self._untold:
             self._lost_at = time.monotonic()
         self._untold += 1

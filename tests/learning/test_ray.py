@@ -4,6 +4,7 @@ import math
 import signal
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -14,6 +15,7 @@ from dune_rl.commands.train import train
 from dune_rl.config.compose import compose
 from dune_rl.config.schema import Conf
 from dune_rl.core.errors import ConfigError, TrainingError
+from dune_rl.learning.ray_workers import RayWorkers
 from dune_rl.learning.run.progress import Reporter, TrainingStatus
 from dune_rl.learning.settings import CollectorConf, EvaluationConf
 
@@ -68,6 +70,15 @@ def test_a_node_that_dies_costs_a_line_and_the_last_one_ends_the_run_saved(
         with pytest.raises(TrainingError, match=r"Ray.*\nAll is saved at [\d,]+ frames; go on with resume="):
             again.train()
     assert trainer(tmp_path / "run", learning, **more).frames == again.frames > result.frames
+
+
+def test_workers_that_are_lost_again_and_again_end_the_run_in_a_line() -> None:
+    workers = RayWorkers.__new__(RayWorkers)
+    workers._cluster = SimpleNamespace(check=lambda: None)  # type: ignore[assignment]
+    workers._lost_in_a_row, workers._workers = 1, 1
+    with pytest.raises(TrainingError) as ended:
+        workers._replace(RuntimeError("The actor died.\n\tclass_name: _Worker\n\tactor_id: 7"))
+    assert str(ended.value) == "Ray workers are lost before they give a batch: The actor died."
 
 
 def test_without_ray_the_command_says_what_to_install(
