@@ -14,7 +14,7 @@ LOCK_FILE = ".lock"
 class FolderLock:
     """A lock on `folder`, which the system releases when the process ends, however it does.
 
-    Raises CheckpointError if another run has it. Where there are no such locks, nothing is locked.
+    Raises CheckpointError if another process has it. Where there are no such locks, nothing is locked.
     """
 
     def __init__(self, folder: Path) -> None:

@@ -60,7 +60,7 @@ class OnnxPolicy:
 
     @property
     def action_bounds(self) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
-        """The lowest and the highest actions; None where the file does not say them."""
+        """The lowest and the highest actions, (A,) each, in physical units; None where the file says none."""
         try:
             actions = self.description["action"]
             return tuple(float(each["low"]) for each in actions), tuple(
