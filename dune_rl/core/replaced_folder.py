@@ -10,6 +10,9 @@ from dune_rl.core.errors import CheckpointError, ConfigError
 from dune_rl.core.files import errors_naming
 from dune_rl.core.folder_lock import FolderLock
 
+# Beside a folder: what takes its place, its entries while they leave it, and once all of them have left.
+_NEW, _LEAVING, _REPLACED = "new", "leaving", "old"
+
 
 def check_replaceable(
     out: Path, kind: str, find_others: Callable[[Path], Iterable[Path]], *, overwrite: bool
@@ -17,8 +20,9 @@ def check_replaceable(
     """Raise ConfigError if `out` holds something that must stay.
 
     That is what `find_others` finds in it and, unless `overwrite`, also what a command of the `kind`, such as
-    "a report", wrote there.
+    "a report", wrote there. What a killed process had begun to replace is whole again before.
     """
+    _finish_replacing(out)
     parent = next(each for each in (out, *out.absolute().parents) if each.exists())
     if not parent.is_dir():
         raise ConfigError(f"cannot write {out}: {parent} is a file; choose another out=FOLDER")
@@ -39,28 +43,62 @@ def replace_folder(out: Path, check: Callable[[], None], last: str) -> Iterator[
     folder is not whole. What a process that was killed left beside `out` is removed. `check` raises
     ConfigError if `out` holds something that must stay; so does this while another process writes to it.
     """
-    # A link stays one, and its target is what is on the same file system.
     place = out.resolve()
-    aside = place.with_name(f".{place.name}.part")
     made = [each for each in place.parents if not each.exists()]
-    new, old = aside / "new", aside / "old"
-    lock = _lock(aside, out)
     try:
-        # Another process may have ended since the caller looked.
-        check()
-        for left_over in (new, old):
-            _remove(left_over)
-        new.mkdir()
-        yield new
-        check()
-        _put_in_place(new, place, old, last)
-        made = []
+        with _locked_folder_beside(out) as aside:
+            # Another process may have ended since the caller looked.
+            check()
+            (aside / _NEW).mkdir()
+            try:
+                yield aside / _NEW
+                check()
+                _put_in_place(aside, place, last)
+                made = []
+            finally:
+                _remove(aside / _NEW)
     finally:
-        _remove(new)
-        lock.release()
-        for folder in (aside, *made):
+        for folder in made:
             with contextlib.suppress(OSError):
                 folder.rmdir()
+
+
+@contextmanager
+def _locked_folder_beside(out: Path) -> Iterator[Path]:
+    """The folder for what takes the place of `out` and what it replaces; no other process has it."""
+    aside = _folder_beside(out)
+    lock = _lock(aside, out)
+    try:
+        _restore(aside, out.resolve())
+        yield aside
+    finally:
+        lock.release()
+        with contextlib.suppress(OSError):
+            aside.rmdir()
+
+
+def _folder_beside(out: Path) -> Path:
+    # A link stays one, and its target is what is on the same file system.
+    place = out.resolve()
+    return place.with_name(f".{place.name}.part")
+
+
+def _finish_replacing(out: Path) -> None:
+    """Make `out` whole where a process was killed while it put something in its place."""
+    if any((_folder_beside(out) / name).exists() for name in (_LEAVING, _REPLACED)):
+        with _locked_folder_beside(out):
+            pass
+
+
+def _restore(aside: Path, place: Path) -> None:
+    """Undo what a killed process had begun to put in its place; finish it, where all of the old had left."""
+    if place.exists():
+        if (aside / _LEAVING).exists():
+            _move_entries(aside / _LEAVING, place)
+        if (aside / _REPLACED).exists() and (aside / _NEW).exists():
+            _move_entries(aside / _NEW, place)
+    for left_over in (_NEW, _LEAVING, _REPLACED):
+        _remove(aside / left_over)
 
 
 def _lock(aside: Path, out: Path) -> FolderLock:
@@ -77,28 +115,37 @@ def _lock(aside: Path, out: Path) -> FolderLock:
                 ) from None
 
 
-def _put_in_place(new: Path, place: Path, old: Path, last: str) -> None:
-    """Move the entries in `new` to `place`; those that are there go to `old`, and come back on failure."""
+def _put_in_place(aside: Path, place: Path, last: str) -> None:
+    """Move the new entries to `place`; those that are there leave it before, and come back on failure."""
+    new, leaving, replaced = (aside / name for name in (_NEW, _LEAVING, _REPLACED))
     if not place.exists():
         new.rename(place)
         return
     # The folder itself stays: it may be the current one, a mount, or have rights of its own.
-    old.mkdir()
+    leaving.mkdir()
     placed: list[str] = []
     try:
         for each in sorted(place.iterdir(), key=lambda each: each.name != last):
-            shutil.move(each, old / each.name)
+            shutil.move(each, leaving / each.name)
+        # From here on a killed process's work is finished and not undone.
+        leaving.rename(replaced)
         for each in sorted(new.iterdir(), key=lambda each: each.name == last):
             placed.append(each.name)
             shutil.move(each, place / each.name)
     except BaseException:
         for name in placed:
             _remove(place / name)
-        for each in list(old.iterdir()):
-            shutil.move(each, place / each.name)
+        old = replaced if replaced.exists() else leaving
+        _move_entries(old, place)
         old.rmdir()
         raise
-    _remove(old)
+    _remove(replaced)
+
+
+def _move_entries(source: Path, target: Path) -> None:
+    for each in list(source.iterdir()):
+        _remove(target / each.name)
+        shutil.move(each, target / each.name)
 
 
 def _remove(path: Path) -> None:

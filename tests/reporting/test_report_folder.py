@@ -1,6 +1,7 @@
 """A report's folder: whole or not there, by one process at a time."""
 
 import signal
+import subprocess
 import sys
 from datetime import datetime
 from pathlib import Path
@@ -14,7 +15,7 @@ from dune_rl.core import replaced_folder
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.paths import unused_folder
 from dune_rl.reporting import output
-from dune_rl.reporting.folder import replace_report
+from dune_rl.reporting.folder import check_folder, replace_report
 
 
 def write_files(folder: Path, text: str) -> None:
@@ -101,6 +102,46 @@ def test_what_a_killed_process_left_is_removed(tmp_path: Path) -> None:
     with replace_report(tmp_path / "r", overwrite=False) as aside:
         write_files(aside, "a")
     assert files(tmp_path) == ["r", "r/figures", "r/index.html", "r/tables", "r/tables/a.csv"]
+
+
+# A process that is killed before it moves one entry more than so many.
+KILLED = """
+import os, shutil, sys
+from pathlib import Path
+from dune_rl.reporting.folder import check_folder, replace_report
+
+moves, move = 0, shutil.move
+
+def move_or_die(source, target):
+    global moves
+    if moves == int(sys.argv[2]):
+        os._exit(9)
+    moves += 1
+    move(source, target)
+
+shutil.move = move_or_die
+with replace_report(Path(sys.argv[1]), overwrite=True) as aside:
+    (aside / "figures").mkdir()
+    (aside / "tables").mkdir()
+    (aside / "tables" / "b.csv").write_text("b")
+    (aside / "index.html").write_text("b")
+"""
+
+
+@pytest.mark.parametrize("moves", range(7))
+def test_a_kill_while_a_report_is_put_in_place_leaves_the_old_or_the_new_one(
+    moves: int, tmp_path: Path
+) -> None:
+    with replace_report(tmp_path / "r", overwrite=False) as aside:
+        write_files(aside, "a")
+    command = [sys.executable, "-c", KILLED, str(tmp_path / "r"), str(moves)]
+    ended = subprocess.run(command)
+    assert ended.returncode == (9 if moves < 6 else 0)
+    with pytest.raises(ConfigError, match="holds a report already"):
+        check_folder(tmp_path / "r", overwrite=False)
+    whole = "a" if moves < 3 else "b"
+    assert files(tmp_path) == ["r", "r/figures", "r/index.html", "r/tables", f"r/tables/{whole}.csv"]
+    assert (tmp_path / "r" / "index.html").read_text() == whole
 
 
 @pytest.mark.slow
