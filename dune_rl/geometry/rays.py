@@ -43,21 +43,23 @@ class Hits(NamedTuple):
 class RayScene:
     """A static set of triangles to cast rays against: an Embree scene, at the address `handle`.
 
-    `vertices` (V, 3) [m] and `faces` (F, 3) are copied. Rays have C-contiguous float32 `origins` (S, 3) and
+    `vertices` (V, 3) [m] and `faces` (F, 3) are copied; for few rays, a `short_lived` scene is built sooner. Rays have C-contiguous float32 `origins` (S, 3) and
     `directions` (N, 3): each origin serves N / S consecutive rays. Ranges are metres if directions have unit
     length. Rays are cast in packets of 16 consecutive ones, which is fastest where their directions are
     similar. `order` (N / S,) has the numbers of the rays of each origin in another order, such as square
     tiles of a picture: results are the same, sooner. Where N / S is no multiple of 16, it is ignored.
     """
 
-    def __init__(self, vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> None:
+    def __init__(
+        self, vertices: NDArray[np.floating], faces: NDArray[np.integer], *, short_lived: bool = False
+    ) -> None:
         if not len(vertices) or not len(faces):
             raise ValueError("a ray scene needs at least one triangle")
         if faces.min() < 0 or faces.max() >= len(vertices):
             raise ValueError(f"faces must index vertices from 0 to {len(vertices) - 1}")
         self.num_faces = len(faces)
         self._heights = float(vertices[:, 2].min()), float(vertices[:, 2].max())
-        self.handle = build_scene(vertices, faces)
+        self.handle = build_scene(vertices, faces, short_lived=short_lived)
         weakref.finalize(self, release_scene, self.handle)
 
     def select_scenes(self, scenes: NDArray[np.int64]) -> "RayScene":

@@ -87,5 +87,6 @@ class PosedBodies:
         vertices = [body.position + body.shape.vertices @ body.rotation.T for body in bodies]
         starts = np.cumsum([0, *(len(each) for each in vertices[:-1])])
         faces = [shape.faces + start for shape, start in zip(shapes, starts, strict=True)]
-        self.rays = RayScene(np.concatenate(vertices), np.concatenate(faces, dtype=np.int32))
+        joined = np.concatenate(vertices), np.concatenate(faces, dtype=np.int32)
+        self.rays = RayScene(*joined, short_lived=True)
         self.albedo = np.concatenate([shape.albedo for shape in shapes])
