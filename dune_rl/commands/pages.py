@@ -22,7 +22,7 @@ _MARGINS = 8
 class HelpPage:
     """The text of `--help`: what the command does, how it is called, what can be set, and a closing note.
 
-    With `options`, the groups of options of an environment are listed too.
+    With `options`, the groups of options of an environment are listed too, and of one that `learns` its own.
     """
 
     title: str
@@ -30,6 +30,7 @@ class HelpPage:
     settings: HelpRows
     closing: str
     options: bool = True
+    learns: bool = False
 
 
 def option_group_rows() -> list[tuple[str, str]]:
@@ -46,6 +47,10 @@ def option_group_rows() -> list[tuple[str, str]]:
     return sorted(rows, key=lambda row: not row[0].startswith("+"))
 
 
+def _rows_of_groups(page: HelpPage) -> list[tuple[str, str]]:
+    return [row for row in option_group_rows() if page.learns or row[0] != "learning=NAME"]
+
+
 def show_help(page: HelpPage) -> None:
     """Print the page on standard output."""
     from rich.console import Console
@@ -54,7 +59,7 @@ def show_help(page: HelpPage) -> None:
 
     console = Console(highlight=False, soft_wrap=True)
     console.print(f"[bold]{page.title}[/bold]")
-    for lines in (page.usage, [*(option_group_rows() if page.options else ()), *page.settings]):
+    for lines in (page.usage, [*(_rows_of_groups(page) if page.options else ()), *page.settings]):
         names, meanings = (max(map(len, column)) for column in zip(*lines, strict=True))
         if lines is page.usage and names + meanings + _MARGINS > console.width:
             # Beside commands, meanings would be columns of single words.
@@ -101,6 +106,7 @@ PAGES: Mapping[str, HelpPage] = {
             "use, add --cfg job. Own options go in a folder of the same shape as conf/:\n"
             "--config-dir FOLDER. docs/ has the rest."
         ),
+        learns=True,
     ),
     "evaluate": HelpPage(
         "Measure a policy on numbered episodes.",

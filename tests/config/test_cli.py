@@ -42,6 +42,8 @@ def test_help(program: object, call: Call, capsys: pytest.CaptureFixture[str]) -
     text = capsys.readouterr().out
     for words in ("+world=NAME", "construction, flat, heightmap", "seed=N", "python -m dune_rl."):
         assert words in text
+    # Of what the command itself refuses, its help does not speak.
+    assert ("learning=NAME" in text) == (program is train)
 
 
 def test_the_help_names_every_view() -> None:
