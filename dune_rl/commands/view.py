@@ -10,6 +10,7 @@ from dune_rl.commands import command_line
 from dune_rl.config.commands import ViewConf
 from dune_rl.config.compose import compose, override_value
 from dune_rl.config.saved import upgrade_saved
+from dune_rl.core.files import removing_empty
 from dune_rl.learning.checkpoint import read_policy_file
 
 if TYPE_CHECKING:
@@ -41,7 +42,8 @@ def run(words: Sequence[str]) -> None:
         plan = plan_of_set(conf, episode_set)
     if override_value(parsed.overrides, "sensors") is None:
         conf = _drop_odometry_of_legs(conf)
-    _view(conf, plan)
+    with removing_empty(Path(conf.out)):
+        _view(conf, plan)
 
 
 def _with_sensors(saved: Mapping[str, Any], added: str) -> dict[str, Any]:

@@ -64,6 +64,18 @@ def write_atomically(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
+def removing_empty(folder: Path) -> Iterator[None]:
+    """Remove `folder` and its parents at the end, those that were not there before and are empty."""
+    new = [each for each in (folder, *folder.absolute().parents) if not each.exists()]
+    try:
+        yield
+    finally:
+        for each in new:
+            with contextlib.suppress(OSError):
+                each.rmdir()
+
+
+@contextmanager
 def errors_naming(path: Path) -> Iterator[None]:
     """Lets an OSError of a temporary file name the path that was to be written."""
     try:

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from dune_rl.core.errors import CheckpointError, ConfigError
-from dune_rl.core.files import errors_naming
+from dune_rl.core.files import errors_naming, removing_empty
 from dune_rl.core.folder_lock import FolderLock
 
 # Beside a folder: what takes its place, its entries while they leave it, and once all of them have left.
@@ -44,23 +44,16 @@ def replace_folder(out: Path, check: Callable[[], None], last: str) -> Iterator[
     ConfigError if `out` holds something that must stay; so does this while another process writes to it.
     """
     place = out.resolve()
-    made = [each for each in place.parents if not each.exists()]
-    try:
-        with _locked_folder_beside(out) as aside:
-            # Another process may have ended since the caller looked.
+    with removing_empty(place.parent), _locked_folder_beside(out) as aside:
+        # Another process may have ended since the caller looked.
+        check()
+        (aside / _NEW).mkdir()
+        try:
+            yield aside / _NEW
             check()
-            (aside / _NEW).mkdir()
-            try:
-                yield aside / _NEW
-                check()
-                _put_in_place(aside, place, last)
-                made = []
-            finally:
-                _remove(aside / _NEW)
-    finally:
-        for folder in made:
-            with contextlib.suppress(OSError):
-                folder.rmdir()
+            _put_in_place(aside, place, last)
+        finally:
+            _remove(aside / _NEW)
 
 
 @contextmanager

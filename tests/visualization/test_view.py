@@ -1,5 +1,6 @@
 """The view command: the sheets, films and pictures that it makes, and what it refuses."""
 
+import signal
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -27,6 +28,7 @@ from dune_rl.evaluation.episode_sets.apply import (
 from dune_rl.learning.checkpoint import write_checkpoint_file
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.saved_policies import policy_entry
+from dune_rl.reporting.views import film
 from dune_rl.reporting.views.maps import drive_episodes, map_content
 from dune_rl.visualization.video import open_video
 
@@ -192,6 +194,19 @@ def test_bad_input_is_refused_in_one_line(
     assert capsys.readouterr().err == f"{message}\n"
     assert [path.name for path in folder.iterdir()] == ["file"]
     assert (folder / "file").read_text() == "kept"
+
+
+def test_a_film_that_is_cut_off_leaves_no_folder(
+    call: Call, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupt(*_: object) -> None:
+        assert (folder / "new" / "views").is_dir()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(film, "_drive", interrupt)
+    assert call(*TINY, BLIND, "view=video", "out=new/views") == 128 + signal.SIGINT
+    assert len(capsys.readouterr().err.splitlines()) <= 1
+    assert not list(folder.iterdir())
 
 
 def test_a_checkpoint_that_is_not_there_is_named(
