@@ -24,8 +24,8 @@ fi
 srun --cpus-per-task="$SLURM_CPUS_PER_TASK" \
     python -m dune_rl.evaluate "${words[@]}" processes="$SLURM_CPUS_PER_TASK"
 code=$?
-# 138 after SIGUSR1: the time was nearly over. Episodes that had ended are saved.
-if [ "$code" -eq 138 ]; then
+# 138 after SIGUSR1: the time was nearly over. Episodes that had ended are saved. A time limit too short to get on would requeue for ever.
+if [ "$code" -eq 138 ] && [ "${SLURM_RESTART_COUNT:-0}" -lt 100 ]; then
     scontrol requeue "$SLURM_JOB_ID"
 fi
 exit "$code"

@@ -12,8 +12,8 @@
 
 srun --cpus-per-task="$SLURM_CPUS_PER_TASK" python -m dune_rl.train "$@" resume=auto
 code=$?
-# 138 after SIGUSR1: the time was nearly over, and all is saved.
-if [ "$code" -eq 138 ]; then
+# 138 after SIGUSR1: the time was nearly over, and all is saved. A time limit too short to get on would requeue for ever.
+if [ "$code" -eq 138 ] && [ "${SLURM_RESTART_COUNT:-0}" -lt 100 ]; then
     scontrol requeue "$SLURM_JOB_ID"
 fi
 exit "$code"
