@@ -1,6 +1,7 @@
 """Folders whose content is replaced as a whole, or not at all."""
 
 import contextlib
+import os
 import shutil
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -12,6 +13,8 @@ from dune_rl.core.folder_lock import FolderLock
 
 # Beside a folder: what takes its place, its entries while they leave it, and once all of them have left.
 _NEW, _LEAVING, _REPLACED = "new", "leaving", "old"
+# Of a mount, which has all of them in itself.
+_INSIDE = ".part"
 
 
 def check_replaceable(
@@ -28,10 +31,10 @@ def check_replaceable(
         raise ConfigError(f"cannot write {out}: {parent} is a file; choose another out=FOLDER")
     if not out.exists():
         return
-    others = sorted(find_others(out))
+    others = sorted(each for each in find_others(out) if each.name != _INSIDE)
     if others:
         raise ConfigError(f"out={out} holds other files ({others[0].name}); choose another folder")
-    if any(out.iterdir()) and not overwrite:
+    if _entries(out) and not overwrite:
         raise ConfigError(f"out={out} holds {kind} already; choose another folder, or add overwrite=true")
 
 
@@ -53,7 +56,8 @@ def replace_folder(out: Path, check: Callable[[], None], last: str) -> Iterator[
             check()
             _put_in_place(aside, place, last)
         finally:
-            _remove(aside / _NEW)
+            if not (aside / _LEAVING).exists() and not (aside / _REPLACED).exists():
+                _remove(aside / _NEW)
 
 
 @contextmanager
@@ -73,7 +77,12 @@ def _locked_folder_beside(out: Path) -> Iterator[Path]:
 def _folder_beside(out: Path) -> Path:
     # A link stays one, and its target is what is on the same file system.
     place = out.resolve()
-    return place.with_name(f".{place.name}.part")
+    # Beside a mount is another file system, where a move is a copy, which can be cut off.
+    return place / _INSIDE if os.path.ismount(place) else place.with_name(f".{place.name}.part")
+
+
+def _entries(place: Path) -> list[Path]:
+    return [each for each in place.iterdir() if each.name != _INSIDE]
 
 
 def _finish_replacing(out: Path) -> None:
@@ -109,36 +118,36 @@ def _lock(aside: Path, out: Path) -> FolderLock:
 
 
 def _put_in_place(aside: Path, place: Path, last: str) -> None:
-    """Move the new entries to `place`; those that are there leave it before, and come back on failure."""
+    """Move the new entries to `place`; those that are there leave it before, and come back on failure.
+
+    Each state between, in which the process may be killed, is one that `_restore` undoes or finishes.
+    """
     new, leaving, replaced = (aside / name for name in (_NEW, _LEAVING, _REPLACED))
     if not place.exists():
         new.rename(place)
         return
     # The folder itself stays: it may be the current one, a mount, or have rights of its own.
     leaving.mkdir()
-    placed: list[str] = []
     try:
-        for each in sorted(place.iterdir(), key=lambda each: each.name != last):
-            shutil.move(each, leaving / each.name)
-        # From here on a killed process's work is finished and not undone.
+        for each in sorted(_entries(place), key=lambda each: each.name != last):
+            each.rename(leaving / each.name)
         leaving.rename(replaced)
         for each in sorted(new.iterdir(), key=lambda each: each.name == last):
-            placed.append(each.name)
-            shutil.move(each, place / each.name)
+            each.rename(place / each.name)
     except BaseException:
-        for name in placed:
-            _remove(place / name)
-        old = replaced if replaced.exists() else leaving
-        _move_entries(old, place)
-        old.rmdir()
+        if replaced.exists():
+            for each in _entries(place):
+                each.rename(new / each.name)
+            replaced.rename(leaving)
+        _move_entries(leaving, place)
+        leaving.rmdir()
         raise
     _remove(replaced)
 
 
 def _move_entries(source: Path, target: Path) -> None:
     for each in list(source.iterdir()):
-        _remove(target / each.name)
-        shutil.move(each, target / each.name)
+        each.rename(target / each.name)
 
 
 def _remove(path: Path) -> None:

@@ -11,7 +11,6 @@ from report_runs import episode_rows, write_evaluation
 
 from dune_rl import report
 from dune_rl.commands import command_line
-from dune_rl.core import replaced_folder
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.paths import unused_folder
 from dune_rl.reporting import output
@@ -69,14 +68,14 @@ def test_the_old_report_comes_back_if_the_new_one_cannot_be_put_in_place(
     with replace_report(tmp_path / "r", overwrite=False) as aside:
         write_files(aside, "a")
     before = files(tmp_path)
-    move = replaced_folder.shutil.move
+    rename = Path.rename
 
     def fail(source: Path, target: Path) -> None:
         if source.name == "index.html" and source.parent.name == "new":
             raise OSError("full")
-        move(source, target)
+        rename(source, target)
 
-    monkeypatch.setattr(replaced_folder.shutil, "move", fail)
+    monkeypatch.setattr(Path, "rename", fail)
     with pytest.raises(OSError, match="full"), replace_report(tmp_path / "r", overwrite=True) as aside:
         write_files(aside, "b")
     assert files(tmp_path) == before and (tmp_path / "r" / "index.html").read_text() == "a"
@@ -104,23 +103,27 @@ def test_what_a_killed_process_left_is_removed(tmp_path: Path) -> None:
     assert files(tmp_path) == ["r", "r/figures", "r/index.html", "r/tables", "r/tables/a.csv"]
 
 
-# A process that is killed before it moves one entry more than so many.
+# A process whose move fails at a page, if it is told to, and which is killed after so many moves.
 KILLED = """
-import os, shutil, sys
+import os, sys
 from pathlib import Path
-from dune_rl.reporting.folder import check_folder, replace_report
+from dune_rl.reporting.folder import replace_report
 
-moves, move = 0, shutil.move
+out, moves_left, fails = Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3] == "True"
+rename = Path.rename
 
-def move_or_die(source, target):
-    global moves
-    if moves == int(sys.argv[2]):
+def move_fail_or_die(source, target):
+    global moves_left, fails
+    if not moves_left:
         os._exit(9)
-    moves += 1
-    move(source, target)
+    moves_left -= 1
+    if fails and source.name == "index.html" and source.parent.name == "new":
+        fails = False
+        raise OSError("full")
+    rename(source, target)
 
-shutil.move = move_or_die
-with replace_report(Path(sys.argv[1]), overwrite=True) as aside:
+Path.rename = move_fail_or_die
+with replace_report(out, overwrite=True) as aside:
     (aside / "figures").mkdir()
     (aside / "tables").mkdir()
     (aside / "tables" / "b.csv").write_text("b")
@@ -128,20 +131,41 @@ with replace_report(Path(sys.argv[1]), overwrite=True) as aside:
 """
 
 
-@pytest.mark.parametrize("moves", range(7))
+def end_after(moves: int, fails: bool, out: Path) -> int:
+    """Exit code of a process that replaces the report in `out`."""
+    command = [sys.executable, "-c", KILLED, str(out), str(moves), str(fails)]
+    return subprocess.run(command, capture_output=True).returncode
+
+
+@pytest.mark.parametrize("fails", [False, True])
 def test_a_kill_while_a_report_is_put_in_place_leaves_the_old_or_the_new_one(
-    moves: int, tmp_path: Path
+    fails: bool, tmp_path: Path
 ) -> None:
-    with replace_report(tmp_path / "r", overwrite=False) as aside:
-        write_files(aside, "a")
-    command = [sys.executable, "-c", KILLED, str(tmp_path / "r"), str(moves)]
-    ended = subprocess.run(command)
-    assert ended.returncode == (9 if moves < 6 else 0)
-    with pytest.raises(ConfigError, match="holds a report already"):
-        check_folder(tmp_path / "r", overwrite=False)
-    whole = "a" if moves < 3 else "b"
-    assert files(tmp_path) == ["r", "r/figures", "r/index.html", "r/tables", f"r/tables/{whole}.csv"]
-    assert (tmp_path / "r" / "index.html").read_text() == whole
+    out, found = tmp_path / "r", []
+    for moves in range(14):
+        with replace_report(out, overwrite=True) as aside:
+            write_files(aside, "a")
+        code = end_after(moves, fails, out)
+        with pytest.raises(ConfigError, match="holds a report already"):
+            check_folder(out, overwrite=False)
+        found.append((out / "index.html").read_text())
+        assert files(tmp_path) == ["r", "r/figures", "r/index.html", "r/tables", f"r/tables/{found[-1]}.csv"]
+        if code != 9:
+            break
+    # Three entries leave, their folder is renamed, and three others come; or two of them go again.
+    assert "".join(found) == ("aaaabbbbbbaaaaa" if fails else "aaaabbbb")[: len(found)]
+    assert (code, len(found)) == ((1, 14) if fails else (0, 8))
+
+
+def test_a_report_on_a_mount_is_replaced_within_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.path.ismount", lambda path: path == tmp_path)
+    for text in "ab":
+        with replace_report(tmp_path, overwrite=True) as aside:
+            write_files(aside, text)
+            assert aside.is_relative_to(tmp_path)
+        assert files(tmp_path) == ["figures", "index.html", "tables", f"tables/{text}.csv"]
+        with pytest.raises(ConfigError, match="holds a report already"):
+            check_folder(tmp_path, overwrite=False)
 
 
 @pytest.mark.slow
