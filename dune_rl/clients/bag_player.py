@@ -57,10 +57,10 @@ def actions_from_bag(
     require_rosbags("reading bags")
     policy = load_driven_policy(checkpoint, onnx, robot)
     readings = BagReadings(Path(bag), policy.sources(), topics or {}, robot=robot, base=base)
-    recorded_s = readings.metadata.get("decision_s")
-    if not (isinstance(recorded_s, int | float) and recorded_s > 0.0):
-        recorded_s = policy.interface.decision_s
-    period = period_s or float(recorded_s)
+    default_s = readings.metadata.get("decision_s")
+    if not (isinstance(default_s, int | float) and default_s > 0.0):
+        default_s = policy.interface.decision_s
+    period = period_s or float(default_s)
     found = [
         (time_ns, policy.act(observation, not number))
         for number, (time_ns, observation) in enumerate(readings.decisions(period))

@@ -5,6 +5,7 @@ import errno
 import logging
 import os
 import re
+import shlex
 import shutil
 import signal
 import sys
@@ -31,9 +32,9 @@ if TYPE_CHECKING:
 
 _SHOW_WARNING = warnings.showwarning
 
-# Errors of the file system that a user can mend; others are faults of ours.
 # Of a message: a name or a list in a file may have any length.
 _LONGEST_LINE = 1_500
+# Errors of the file system that a user can mend; others are faults of ours.
 _FILE_ERRORS = {
     errno.EACCES: "no permission",
     errno.ENOENT: "it cannot be made there",
@@ -139,7 +140,7 @@ def run_command(page: HelpPage, body: Callable[[Sequence[str]], None]) -> NoRetu
     sys.exit(0)
 
 
-# Of which the exceptions were lost.
+# Signals whose exceptions were lost, until they are repeated.
 _lost_signals: list[signal.Signals] = []
 
 
@@ -160,6 +161,7 @@ def _stop_later(unraisable: "sys.UnraisableHookArgs") -> None:
 
 def _signal_main_thread(number: signal.Signals) -> None:
     """Send a signal to the main thread, which ends its waiting, too, where the system can do so."""
+    _lost_signals.clear()
     if hasattr(signal, "pthread_kill"):
         signal.pthread_kill(threading.main_thread().ident or 0, number)
     else:
@@ -210,6 +212,11 @@ def python_here() -> str:
     found = shutil.which("python")
     is_first = found is not None and os.path.abspath(found) == os.path.abspath(sys.executable)
     return "python" if is_first else shown_path(Path(sys.executable))
+
+
+def shell_command(module: str, *words: str) -> str:
+    """A command as a user types it: `python -m MODULE`, with words in quotes where a shell needs them."""
+    return f"{python_here()} -m {shlex.join([module, *words])}"
 
 
 def shown_path(path: Path) -> str:

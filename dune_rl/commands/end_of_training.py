@@ -9,6 +9,7 @@ from rich.console import Console
 
 from dune_rl.commands import command_line
 from dune_rl.config.commands import ViewConf
+from dune_rl.config.overrides import quote_text, text_word
 from dune_rl.config.schema import Conf, EnvConf
 from dune_rl.robots.settings import RobotSettings
 
@@ -79,7 +80,7 @@ def show_end(console: Console, conf: Conf, result: "TrainingResult") -> None:
         notes = metric_notes(conf.metrics, estimates)
         table = results_table({"trained": estimates}, title, num_agents=len(rows) // episodes, notes=notes)
         console.print(table)
-    folder, python = command_line.shown_path(result.run_dir), f"{command_line.python_here()} -m"
+    folder = command_line.shown_path(result.run_dir)
     contents = {
         FILM_FILE: "an episode of the best policy",
         CURVE_FILE: "the evaluations so far",
@@ -94,17 +95,17 @@ def show_end(console: Console, conf: Conf, result: "TrainingResult") -> None:
     can_go = all(go_to_goal_fault(spec) is None for spec in result.specs.values())
     reference = "go_to_goal" if can_go else "random"
     further = 2 * max(conf.total_frames, result.frames)
-    lines += [
-        "Try next:",
-        f"  {python} dune_rl.view checkpoint={folder}",
-        f"  {python} dune_rl.evaluate checkpoint={folder} episodes=100 seed=1",
-        f"  {python} dune_rl.evaluate checkpoint={folder} against={reference} episodes=100 seed=1",
-        f"  {python} tensorboard.main --logdir {command_line.shown_path(result.run_dir.parent)}",
-        f"  {python} dune_rl.train resume={folder} total_frames={further}",
+    checkpoint, numbers = text_word("checkpoint", folder), ("episodes=100", "seed=1")
+    commands: list[tuple[str, ...]] = [
+        ("dune_rl.view", checkpoint),
+        ("dune_rl.evaluate", checkpoint, *numbers),
+        ("dune_rl.evaluate", checkpoint, f"against={reference}", *numbers),
+        ("tensorboard.main", "--logdir", command_line.shown_path(result.run_dir.parent)),
+        ("dune_rl.train", text_word("resume", folder), f"total_frames={further}"),
     ]
     if any(not isinstance(group.body, RobotSettings) for group in conf.external_groups):
-        lines.append(
-            f"  {python} dune_rl.evaluate cross_play=true checkpoint={folder} "
-            f"'populations=[walkers,{folder}]' episodes=100 seed=1"
-        )
+        populations = f"populations=[walkers,{quote_text(folder)}]"
+        commands.append(("dune_rl.evaluate", "cross_play=true", checkpoint, populations, *numbers))
+    lines += ["Try next:"]
+    lines += [f"  {command_line.shell_command(*words)}" for words in commands]
     command_line.print_line(console, "\n".join(lines))

@@ -22,7 +22,8 @@ _MARGINS = 8
 class HelpPage:
     """The text of `--help`: what the command does, how it is called, what can be set, and a closing note.
 
-    With `options`, the groups of options of an environment are listed too, and of one that `learns` its own.
+    With `options`, the groups of options of an environment are listed, too, and if the command `learns`,
+    those of `learning`.
     """
 
     title: str

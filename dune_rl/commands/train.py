@@ -29,6 +29,7 @@ from dune_rl.commands.resuming import (
 )
 from dune_rl.config.compose import check_sweep, compose, override_value
 from dune_rl.config.group_files import describe_owner
+from dune_rl.config.overrides import text_word
 from dune_rl.config.schema import Conf
 from dune_rl.core import paths
 from dune_rl.core.errors import CheckpointError, ConfigError, DuneError
@@ -250,7 +251,7 @@ def train(conf: Conf, resume: Path | None = None, words: Sequence[str] = ()) -> 
             f"note: others drive for all of the {conf.total_frames:,} frames before an update is made; raise "
             "total_frames, or lower learning.learning_starts or learning.demonstrations.frames"
         )
-    go_on = f"go on with {command_line.python_here()} -m dune_rl.train resume={shown_dir}"
+    go_on = f"go on with {command_line.shell_command('dune_rl.train', text_word('resume', shown_dir))}"
     try:
         result = trainer.train()
     except DuneError:

@@ -42,8 +42,8 @@ _RANGES = {
     "less_than": ("lt", "below"),
     "multiple_of": ("multiple_of", "a multiple of"),
 }
-# Of whole numbers that are floating-point numbers, too.
-_MOST_DIGITS = 300
+# Larger whole numbers may exceed the largest floating-point number, 1.8e308.
+_MOST_DIGITS, _MOST_BITS = 300, 1_000
 # Letters of a value in a message.
 _LONGEST_VALUE = 300
 # By the beginning of pydantic's name of an error.
@@ -72,7 +72,8 @@ def validate(model: type[Model], data: Mapping[str, Any], earlier: Sequence[str]
     except OverflowError:
         # Of checks that compute with what is a whole number.
         large = [f"{_dotted(path)} must be a smaller number" for path in _enormous_numbers(data)]
-        raise ConfigError("\n".join(unique_lines([*earlier, *large]))) from None
+        lines = [*earlier, *(large or ["a number in the settings is too large"])]
+        raise ConfigError("\n".join(unique_lines(lines))) from None
     if earlier:
         raise ConfigError("\n".join(unique_lines(earlier)))
     return settings
@@ -86,7 +87,10 @@ def _enormous_numbers(data: Any, path: tuple[str | int, ...] = ()) -> Iterator[t
     elif isinstance(data, list | tuple):
         for index, value in enumerate(data):
             yield from _enormous_numbers(value, (*path, index))
-    elif not isinstance(data, float) and len(str(data)) > _MOST_DIGITS and str(data).lstrip("-").isdigit():
+    elif isinstance(data, int):
+        if data.bit_length() > _MOST_BITS:
+            yield path
+    elif isinstance(data, str) and len(data) > _MOST_DIGITS and data.strip("+-_.0123456789") == "":
         yield path
 
 

@@ -152,12 +152,17 @@ class ParsedOverrides:
 
 
 def text_word(key: str, text: str) -> str:
-    """The override that sets `key` to a text, in quotes where Hydra does not read it without."""
+    """The override that sets `key` to a text."""
+    return f"{key}={quote_text(text)}"
+
+
+def quote_text(text: str) -> str:
+    """A text in an override, in quotes where Hydra does not read it without."""
     if _PLAIN.fullmatch(text):
-        return f"{key}={text}"
+        return text
     # Before a quote, and at the end, backslashes are doubled.
     escaped = re.sub(r'(\\*)("|$)', lambda found: 2 * found[1] + (found[2] and '\\"'), text)
-    return f'{key}="{escaped}"'
+    return f'"{escaped}"'
 
 
 def parse_overrides(overrides: Sequence[str], loader: ConfigLoader) -> ParsedOverrides:

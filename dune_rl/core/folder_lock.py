@@ -5,7 +5,7 @@ import os
 import weakref
 from pathlib import Path
 
-from dune_rl.core.errors import CheckpointError
+from dune_rl.core.errors import DuneError
 from dune_rl.core.files import try_lock
 
 LOCK_FILE = ".lock"
@@ -14,12 +14,12 @@ LOCK_FILE = ".lock"
 class FolderLock:
     """A lock on `folder`, which the system releases when the process ends, however it does.
 
-    Raises CheckpointError if another process has it. Where there are no such locks, nothing is locked.
+    Raises `if_taken` if another process has it. Where there are no such locks, nothing is locked.
     """
 
-    def __init__(self, folder: Path) -> None:
-        handle = _lock(folder)
-        # The lock of a run that fails before it begins goes with this object.
+    def __init__(self, folder: Path, if_taken: DuneError) -> None:
+        handle = _lock(folder, if_taken)
+        # The lock of a process that fails before it begins to write goes with this object.
         self._release = (
             None if handle is None else weakref.finalize(self, _unlock, handle, folder, os.getpid())
         )
@@ -32,7 +32,7 @@ class FolderLock:
     def release(self, *, keep_file: bool = False) -> None:
         """Let others have the folder; a second call does nothing.
 
-        With `keep_file` its file stays, as after a kill: what the run was writing may not be whole.
+        With `keep_file` its file stays, as after a kill: what was being written may not be whole.
         """
         if self._release is None:
             return
@@ -43,7 +43,7 @@ class FolderLock:
         self._release()
 
 
-def _lock(folder: Path) -> int | None:
+def _lock(folder: Path, if_taken: DuneError) -> int | None:
     while True:
         handle = os.open(folder / LOCK_FILE, os.O_CREAT | os.O_RDWR, 0o644)
         is_locked = try_lock(handle)
@@ -56,10 +56,7 @@ def _lock(folder: Path) -> int | None:
             (folder / LOCK_FILE).unlink(missing_ok=True)
             return None
         if not is_locked:
-            raise CheckpointError(
-                f"Another run is writing to {folder}.\n"
-                "Name another folder with run_dir, or wait until it ends."
-            )
+            raise if_taken
 
 
 def _unlock(handle: int, folder: Path, owner: int) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from dune_rl.core.errors import CheckpointError, ConfigError
+from dune_rl.core.errors import ConfigError
 from dune_rl.core.files import errors_naming, removing_empty
 from dune_rl.core.folder_lock import FolderLock
 
@@ -104,17 +104,20 @@ def _restore(aside: Path, place: Path) -> None:
 
 
 def _lock(aside: Path, out: Path) -> FolderLock:
+    taken = ConfigError(
+        f"another process is writing to {out}; choose another out=FOLDER, or wait until it ends"
+    )
     while True:
         with errors_naming(out):
             aside.mkdir(parents=True, exist_ok=True)
         # Its last owner may have removed it this moment.
         with contextlib.suppress(FileNotFoundError):
-            try:
-                return FolderLock(aside)
-            except CheckpointError:
-                raise ConfigError(
-                    f"another process is writing to {out}; choose another out=FOLDER, or wait until it ends"
-                ) from None
+            lock = FolderLock(aside, taken)
+            break
+    if not lock.is_held and any(aside.iterdir()):
+        # There are no locks here, which would say whether that process lives.
+        raise ConfigError(f"another process is writing to {out}, or was cut off; if so, remove {aside}")
+    return lock
 
 
 def _put_in_place(aside: Path, place: Path, last: str) -> None:

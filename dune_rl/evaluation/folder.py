@@ -12,7 +12,7 @@ import yaml
 
 from dune_rl.config.checks import validate
 from dune_rl.config.commands import EvaluateConf
-from dune_rl.core.errors import CheckpointError, ConfigError
+from dune_rl.core.errors import ConfigError
 from dune_rl.core.files import sha256_of, write_atomically, write_csv
 from dune_rl.core.folder_lock import FolderLock
 from dune_rl.core.untrusted_files import parse_yaml
@@ -45,10 +45,8 @@ class ResultsFolder:
         self.path, self.provenance = path, provenance
         self.finished: dict[tuple[int, int], FinishedEpisode] = {}
         self.is_new = False
-        try:
-            self._lock = FolderLock(path)
-        except CheckpointError:
-            raise ConfigError(f"another evaluation is writing to {path}; choose another out=FOLDER") from None
+        taken = ConfigError(f"another evaluation is writing to {path}; choose another out=FOLDER")
+        self._lock = FolderLock(path, taken)
 
     @classmethod
     def create(
@@ -126,12 +124,12 @@ class ResultsFolder:
     def write(self) -> None:
         """Write the tables of what is finished."""
         rows = self.rows()
-        told = {"provenance": json.dumps(self.provenance)}
+        metadata = {"provenance": json.dumps(self.provenance)}
         if rows:
-            write_tables(self.path / EPISODES, rows, told)
+            write_tables(self.path / EPISODES, rows, metadata)
             steps = [step for key in sorted(self.finished) for step in self.finished[key].steps]
             if steps:
-                write_tables(self.path / STEPS, steps, told)
+                write_tables(self.path / STEPS, steps, metadata)
             names = dict.fromkeys(name for row in [*rows, *steps[:1]] for name in row)
             write_csv(self.path / COLUMNS, describe_columns(list(names)))
         self.write_provenance(complete=False)

@@ -17,7 +17,7 @@ from dune_rl.evaluation.running import EvaluationPlan
 
 # What may differ between parts.
 _OWN: dict[str, Any] = {"part": None, "out": None, "bag": None, "processes": 1, "overwrite": False}
-# What is told of each part in the provenance of the whole.
+# What the provenance of the whole has of each part's.
 _KEPT = ("created", "command", "git", "packages", "python", "platform", "hardware")
 
 
@@ -37,18 +37,18 @@ def join_parts(path: Path, out: Path, console: Console, trusted: Collection[str]
     whole = settings[0].model_copy(update=_OWN)
     plan = EvaluationPlan.of_settings(whole)
     finished: dict[tuple[int, int], FinishedEpisode] = {}
-    told = {}
+    kept = {}
     for folder, conf in zip(folders, settings, strict=True):
         if conf.part is None or conf.model_copy(update=_OWN) != whole:
             raise ConfigError(f"{folder} is no part of the evaluation of {folders[0]}; take it out of {path}")
         provenance = read_provenance(folder)
         check_same_sources(plan, provenance, folder, trusted)
-        told[conf.part] = {key: provenance.get(key) for key in _KEPT}
+        kept[conf.part] = {key: provenance.get(key) for key in _KEPT}
         with ResultsFolder.reopen(folder) as part:
             finished |= part.finished
     _check_complete(plan, settings, folders, finished)
     prepared = prepare_run(plan)
-    provenance = {**describe_provenance(plan), "parts": told}
+    provenance = {**describe_provenance(plan), "parts": kept}
     with ResultsFolder.create(out, whole, provenance, overwrite=False) as results:
         for key in sorted(finished):
             results.add(finished[key])

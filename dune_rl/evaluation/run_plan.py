@@ -1,11 +1,13 @@
 """Runs an evaluation into its folder, and shows its tables."""
 
+import shlex
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 from rich.console import Console
 
 from dune_rl.config.commands import Processes
+from dune_rl.config.overrides import text_word
 from dune_rl.core.files import write_csv
 from dune_rl.evaluation.blocks import EpisodeBlock, FinishedEpisode, missing_blocks
 from dune_rl.evaluation.datasets.writing import dataset_spaces, write_dataset
@@ -96,7 +98,8 @@ def run_plan(
             folder.discard()
             raise
         folder.write()
-        go_on = f"go on with python -m dune_rl.evaluate resume={resume or folder.path}"
+        words = ["python", "-m", "dune_rl.evaluate", text_word("resume", str(resume or folder.path))]
+        go_on = f"go on with {shlex.join(words)}"
         cut_off = f"Cut off after {len(done())} of {total} {unit}; {go_on}"
         console.print(cut_off, highlight=False, markup=False, soft_wrap=True)
         raise

@@ -154,8 +154,8 @@ def write_tables(stem: Path, rows: Sequence[Row], metadata: Mapping[str, str]) -
         values = [row[name] for row in full]
         kind = _arrow_type(values, pyarrow)
         columns.append(pyarrow.array(values, kind))
-        told = {key: description[key] for key in ("unit", "meaning") if description[key]}
-        fields.append(pyarrow.field(name, kind, metadata=told))
+        metadata = {key: description[key] for key in ("unit", "meaning") if description[key]}
+        fields.append(pyarrow.field(name, kind, metadata=metadata))
     schema = pyarrow.schema(fields, metadata=dict(metadata))
     with write_atomically(stem.with_suffix(".parquet")) as temporary:
         pyarrow.parquet.write_table(pyarrow.table(columns, schema=schema), temporary)

@@ -3,17 +3,18 @@
 import contextlib
 import json
 import os
-import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.paths import file_stem
+from dune_rl.core.replaced_folder import replace_folder
 from dune_rl.ros.library import MessageTypes, latched_qos, message_types, require_rosbags
 
 # Metadata of rosbag2 that ROS 2 Humble and later read.
 _VERSION: Final = 8
+_METADATA_FILE = "metadata.yaml"
 # In the metadata of a bag: what was recorded.
 CUSTOM_KEY = "dune_rl"
 # Each scene writes a file, and processes may open some 1,000.
@@ -59,19 +60,24 @@ def check_bags(
             )
 
 
+class _DiscardedError(Exception):
+    """The bag that is being written is not wanted any more."""
+
+
 class EpisodeBag:
     """A bag that is being written; `complete` puts it at `path`, in place of one that is there already.
 
-    `metadata` are values of JSON that say what was recorded.
+    `metadata` are values of JSON that say what was recorded. Raises ConfigError if another process writes a
+    bag at `path`.
     """
 
     def __init__(self, path: Path, metadata: Mapping[str, Any]) -> None:
         from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
         self.types: MessageTypes = message_types()
-        self._path, self._folder = path, path.parent / f".{path.name}.tmp"
-        # What a process that was killed left.
-        shutil.rmtree(self._folder, ignore_errors=True)
+        self._path = path
+        self._replacing = replace_folder(path, lambda: None, last=_METADATA_FILE)
+        self._folder = self._replacing.__enter__()
         # Its files are called after the folder in which they are made.
         self._writer = Writer(self._folder / path.name, version=_VERSION, storage_plugin=StoragePlugin.MCAP)
         self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
@@ -92,16 +98,16 @@ class EpisodeBag:
     def complete(self) -> None:
         """Put the bag in its place."""
         self._writer.close()
-        old = self._folder / "old"
-        if self._path.exists():
-            self._path.rename(old)
-        (self._folder / self._path.name).rename(self._path)
-        shutil.rmtree(self._folder)
+        made = self._folder / self._path.name
+        for each in list(made.iterdir()):
+            each.rename(self._folder / each.name)
+        made.rmdir()
+        self._replacing.__exit__(None, None, None)
 
     def discard(self) -> None:
         """Remove what was written."""
         self._writer.abort()
-        shutil.rmtree(self._folder, ignore_errors=True)
+        self._replacing.__exit__(_DiscardedError, _DiscardedError(), None)
         # Of a folder in which no bag was completed nothing is left.
         with contextlib.suppress(OSError):
             self._path.parent.rmdir()

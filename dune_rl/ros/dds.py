@@ -41,14 +41,18 @@ class Subscription:
 
     def __init__(self, reader: Any) -> None:
         self._reader = reader
+        self.damaged = 0
 
     def take(self) -> list[Received]:
-        """The messages that have arrived since the last call, the oldest first, without damaged ones."""
-        return [
+        """The messages that have arrived since the last call, the oldest first; `damaged` counts others."""
+        samples = [sample for sample in self._reader.take(_READ) if sample.sample_info.valid_data]
+        whole = [
             Received(sample.message, sample.sample_info.source_timestamp)
-            for sample in self._reader.take(_READ)
-            if sample.sample_info.valid_data and sample.message is not None
+            for sample in samples
+            if sample.message is not None
         ]
+        self.damaged += len(samples) - len(whole)
+        return whole
 
 
 class _OpenDomain:

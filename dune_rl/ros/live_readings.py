@@ -190,7 +190,10 @@ class LiveReadings:
         kinds = [offer.type for offer in self._participant.offers().get(topic, ())]
         if not kinds:
             return "; nobody publishes it"
-        return "" if self._readings.type_of(topic) in kinds else f"; it is published as {kinds[0]} now"
+        if self._readings.type_of(topic) not in kinds:
+            return f"; it is published as {kinds[0]} now"
+        damaged = self._subscriptions[topic].damaged
+        return f"; {damaged} damaged messages were left out" if damaged else ""
 
     def observation(self) -> dict[str, Reading]:
         """The latest reading of each part; raises ConfigError for a message that does not fit."""

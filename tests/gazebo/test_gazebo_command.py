@@ -11,6 +11,7 @@ import pytest
 from libsdformat import assert_valid
 
 from dune_rl import export
+from dune_rl.commands.command_line import python_here
 from dune_rl.gazebo import scene
 
 Call = Callable[..., int]
@@ -54,8 +55,8 @@ def test_what_is_read_back_is_said(folder: Path, call: Call, capsys) -> None:
     assert call(export.main, *SITE, "world.surfaces=natural", "actors=none", "out='my site'") == 0
     (line,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("read back: "))
     assert line == (
-        "read back: python -m dune_rl.view +world=sdf 'world.path=\"my site/world.sdf\"' world.spacing_m=5 "
-        "'world.region=[-4,4,-4,4]' 'world.surface_map=\"my site/surfaces.png\"'"
+        f"read back: {python_here()} -m dune_rl.view +world=sdf 'world.path=\"my site/world.sdf\"' "
+        "world.spacing_m=5 'world.region=[-4,4,-4,4]' 'world.surface_map=\"my site/surfaces.png\"'"
     )
     assert call(export.main, *shlex.split(line)[5:], "actors=none", "out=again") == 0
     # SDF reserves the name `world`.

@@ -65,6 +65,8 @@ class TopicBoard:
 
 
 class _Waiting:
+    damaged = 0
+
     def __init__(self, messages: list[Received]) -> None:
         self._messages = messages
 

@@ -15,18 +15,17 @@ from tensorboard.summary.writer.record_writer import RecordWriter
 from training import small, trainer
 
 from dune_rl.core.errors import CheckpointError
-from dune_rl.core.folder_lock import FolderLock
 from dune_rl.learning.checkpoint import read_checkpoint_file, write_checkpoint_file
 from dune_rl.learning.run.folder import RunFolder
-from dune_rl.learning.run.locks import check_unused
+from dune_rl.learning.run.locks import check_unused, lock_run
 from dune_rl.learning.run.progress import Reporter, TrainingStatus
 from dune_rl.learning.settings import CheckpointConf
 
 HOLD = """
 import sys, time
 from pathlib import Path
-from dune_rl.core.folder_lock import FolderLock
-lock = FolderLock(Path(sys.argv[1]))
+from dune_rl.learning.run.locks import lock_run
+lock = lock_run(Path(sys.argv[1]))
 print("locked", flush=True)
 time.sleep(60)
 """
@@ -59,7 +58,7 @@ def test_a_killed_run_leaves_no_lock_behind(tmp_path: Path) -> None:
     holder = subprocess.Popen([sys.executable, "-c", HOLD, str(tmp_path)], stdout=subprocess.PIPE, text=True)
     assert holder.stdout is not None and holder.stdout.readline() == "locked\n"
     with pytest.raises(CheckpointError, match="Another run"):
-        FolderLock(tmp_path)
+        lock_run(tmp_path)
     os.kill(holder.pid, signal.SIGKILL)
     holder.wait()
     holder.stdout.close()
@@ -69,7 +68,7 @@ def test_a_killed_run_leaves_no_lock_behind(tmp_path: Path) -> None:
             break
         except CheckpointError:
             time.sleep(0.1)
-    FolderLock(tmp_path).release()
+    lock_run(tmp_path).release()
 
 
 @pytest.mark.parametrize("name", ["replay-rover-64.npy", "config.yaml", "checkpoint.pt", "curve.png"])
@@ -122,11 +121,11 @@ def test_a_run_whose_log_fills_the_disk_ends_with_its_last_save(
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
 def test_a_forked_child_does_not_free_its_parent_s_lock(tmp_path: Path) -> None:
     code = (
-        "import os, sys; from pathlib import Path; from dune_rl.core.folder_lock import FolderLock\n"
-        "lock = FolderLock(Path(sys.argv[1])); child = os.fork()\n"
+        "import os, sys; from pathlib import Path; from dune_rl.learning.run.locks import lock_run\n"
+        "lock = lock_run(Path(sys.argv[1])); child = os.fork()\n"
         "if child == 0: lock.release(); os._exit(0)\n"
         "os.waitpid(child, 0)\n"
-        "try: FolderLock(Path(sys.argv[1]))\n"
+        "try: lock_run(Path(sys.argv[1]))\n"
         "except Exception as error: print(type(error).__name__)\n"
     )
     done = subprocess.run(

@@ -164,7 +164,7 @@ def test_a_message_with_damaged_text_is_left_out(network: NetworkConf, participa
             writer.write(scan)
 
     found = first_of(subscription.take, write)
-    assert found.message.header.frame_id == "lidar_link"
+    assert found.message.header.frame_id == "lidar_link" and subscription.damaged
 
 
 def test_every_standard_message_has_a_type() -> None:

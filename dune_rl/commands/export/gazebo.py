@@ -93,7 +93,7 @@ def _describe_world(out: Path, scene: WrittenScene, simulation: VectorSimulation
     words += [f"world.region=[{region}]"]
     if world.surfaces is not None:
         words += [text_word("world.surface_map", str(out / SURFACES))]
-    yield f"read back: {shlex.join(['python', '-m', 'dune_rl.view', *words])}"
+    yield f"read back: {command_line.shell_command('dune_rl.view', *words)}"
 
 
 def _describe_robot(out: Path, robot: WrittenRobot) -> Iterator[str]:

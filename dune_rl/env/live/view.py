@@ -59,12 +59,11 @@ class SceneView:
         return self.position + np.array([0.0, 0.0, _TARGET_M])
 
     def begin(self) -> None:
-        """Show the start of an episode."""
+        """Show the world of a new episode; `update` shows who is in it."""
         self._web.show_world(*self.pictures.scenery(0))
         self._web.load_looks(self.pictures.looks_by_name(0))
         self._track.clear()
         self._web.look(*self._first_view())
-        self.update()
 
     def show_agent_to(self, client: Any) -> None:
         """Let one visitor look at the agent."""
@@ -201,17 +200,14 @@ class LivePage:
             self._times_s, self._sums = [], []
             self._numbers_due_s = 0.0
             self.scene_view.begin()
-            if self._is_begun:
-                self._web.follow(self.scene_view.target)
-            else:
-                self._is_begun = True
-                for client in self.server.get_clients().values():
-                    self._welcome(client)
-        else:
-            with self.server.atomic():
-                self.scene_view.update(shows_beams=self.panel.shows_beams, shows_ways=self.panel.shows_ways)
-            if self.panel.follows:
-                self._web.follow(self.scene_view.target)
+        with self.server.atomic():
+            self.scene_view.update(shows_beams=self.panel.shows_beams, shows_ways=self.panel.shows_ways)
+        if not self._is_begun:
+            self._is_begun = True
+            for client in self.server.get_clients().values():
+                self._welcome(client)
+        elif self.panel.follows or not self._simulation.steps[0]:
+            self._web.follow(self.scene_view.target)
         self._show_numbers(more, headline)
 
     def _show_numbers(self, more: Sequence[tuple[str, str]], headline: str) -> None:

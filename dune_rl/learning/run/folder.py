@@ -9,7 +9,6 @@ import yaml
 
 from dune_rl.core.errors import CheckpointError
 from dune_rl.core.files import write_atomically
-from dune_rl.core.folder_lock import FolderLock
 from dune_rl.learning.algorithm import Algorithm
 from dune_rl.learning.checkpoint import (
     BEST_POLICY_FILE,
@@ -18,7 +17,7 @@ from dune_rl.learning.checkpoint import (
     LAST_POLICY_FILE,
     write_checkpoint_file,
 )
-from dune_rl.learning.run.locks import check_unused
+from dune_rl.learning.run.locks import check_unused, lock_run
 from dune_rl.learning.run.log import CURVE_FILE, METRICS_FILE
 from dune_rl.learning.saved_policies import BEST_EVALUATION, LATEST, policy_entry
 
@@ -59,7 +58,7 @@ class RunFolder:
                 f"The folder {path} cannot be written: {error.strerror or error}.\n"
                 "Name another folder for the run."
             ) from error
-        self._lock = FolderLock(path)
+        self._lock = lock_run(path)
         # Of a run that was killed amid a save, perhaps as large as its replay buffer.
         for name in _WRITTEN if self._lock.is_held else ():
             for file in path.glob(f".{name}.*.tmp"):

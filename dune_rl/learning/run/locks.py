@@ -15,6 +15,12 @@ _OF_A_RUN = ("events.out.tfevents.*", "metrics.csv", "policy_*.pt", "replay-*")
 _POLL_S = 0.2
 
 
+def lock_run(folder: Path) -> FolderLock:
+    """The lock of a run's folder; raises CheckpointError if another process has it."""
+    taken = f"Another run is writing to {folder}.\nName another folder with run_dir, or wait until it ends."
+    return FolderLock(folder, CheckpointError(taken))
+
+
 def check_unused(folder: Path) -> None:
     """Raise CheckpointError if `folder`, which need not exist, holds files of a run.
 
@@ -25,7 +31,7 @@ def check_unused(folder: Path) -> None:
             f"{folder} already holds a run; continue it with resume={folder}, or choose another run_dir"
         )
     if (folder / LOCK_FILE).exists():
-        FolderLock(folder).release()
+        lock_run(folder).release()
     left = next((file for pattern in _OF_A_RUN for file in folder.glob(pattern)), None)
     if left is not None:
         raise CheckpointError(
@@ -39,7 +45,7 @@ def remove_leftovers(folder: Path) -> None:
 
     Raises CheckpointError if that run is still going on.
     """
-    lock = FolderLock(folder)
+    lock = lock_run(folder)
     for file in [file for pattern in _OF_A_RUN for file in folder.glob(pattern)]:
         file.unlink()
     lock.release()

@@ -65,6 +65,7 @@ class WebScene:
         self._parts: dict[str, _Part] = {}
         self._drawn: dict[str, Any] = {}
         self._visits: dict[int, _Visit] = {}
+        server.on_client_disconnect(lambda client: self._visits.pop(client.client_id, None))
         server.scene.set_up_direction("+z")
         server.scene.configure_default_lights(False)
         server.scene.configure_environment_map(None)

@@ -32,9 +32,9 @@ def write_html(view: EpisodeView, path: Path) -> Path:
         for steps, _ in enumerate(_episode(view)):
             if steps:
                 record.insert_sleep(_step_s(view))
-                scene.update()
             else:
                 scene.begin()
+            scene.update()
         page = record.as_html()
     finally:
         stop_server(server)
