@@ -15,6 +15,8 @@ from dune_rl.physics.interface import OWN_ENGINES
 
 # `default` is `walkers` where the world brings no actors of its own.
 _SAME_AS_ANOTHER = ("default",)
+# For what has no room in its world, such as large vehicles and herds.
+ROOMY_WORLD = "flat"
 _FILES = {"heightmap": "heights.npy", "mesh": "yard.obj", "sdf": "yard.sdf"}
 _SDF = """<?xml version="1.0"?><sdf version="1.9"><world name="yard">
 <model name="ground"><static>true</static><link name="l"><collision name="c"><geometry><plane>

@@ -4,7 +4,7 @@
 design and compares digests of all that a scene's agents observe, earn, end with and are measured, and of the
 motions and goals of all its bodies, step by step. It adds a row a combination to
 `FOLDER/determinism_DESIGN.csv`, and goes on with those that it does not have. Designs are `options` (every
-option), `pairs` (every pair of two options) and `all`.
+option), `pairs` (every pair of two options) and `all`. What has no room in its world is also driven in the flat one.
 
 Two scenes drive until the first episodes have so many steps, with actions that depend on (episode, step)
 alone. They drive again after a new seeding; another process, with another hash seed, drives the same episodes
@@ -19,7 +19,7 @@ import time
 import warnings
 from collections.abc import Mapping
 from contextlib import closing
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, astuple, dataclass, field, fields, replace
 from multiprocessing.pool import Pool
 from pathlib import Path
 from typing import Any
@@ -28,13 +28,14 @@ from typing import Any
 os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"))
 
 import numpy as np
-from combinations import DESIGNS, Combination, write_world_files
+from combinations import DESIGNS, ROOMY_WORLD, Combination, write_world_files
 
 from dune_rl.commands.doctor.computed import add_values
 from dune_rl.config.build import make_simulation
 from dune_rl.config.compose import compose_environment
-from dune_rl.core.errors import DuneError
+from dune_rl.core.errors import DuneError, WorldError
 from dune_rl.core.files import read_csv, write_csv
+from dune_rl.core.machine import short_commit
 from dune_rl.env.simulation import SimulationStep, VectorSimulation
 from dune_rl.sensors.draws import draw, uniform
 
@@ -71,6 +72,7 @@ class Comparison:
     digest: str = ""
     wall_s: float = 0.0
     fault: str = ""
+    commit: str = ""
 
 
 @dataclass
@@ -90,19 +92,22 @@ def main() -> None:
     write_world_files(folder / "worlds")
     path = folder / f"determinism_{design}.csv"
     rows: list[Mapping[str, object]] = [*read_csv(path)]
-    known = {tuple(row[each.name] for each in fields(Combination)) for row in rows}
+    known = {tuple(row[each.name] for each in fields(Combination)): row for row in rows}
     os.environ["PYTHONHASHSEED"] = "77"
     with multiprocessing.get_context("spawn").Pool(1) as other:
-        for chosen in DESIGNS[design]():
-            if (chosen.world, chosen.robot, chosen.engine, chosen.actors) in known:
-                continue
-            rows.append(asdict(compare(chosen, steps, folder / "worlds", other)))
-            write_csv(path, rows)
+        for drawn in DESIGNS[design]():
+            for chosen in (drawn, replace(drawn, world=ROOMY_WORLD)):
+                if astuple(chosen) not in known:
+                    known[astuple(chosen)] = asdict(compare(chosen, steps, folder / "worlds", other))
+                    rows.append(known[astuple(chosen)])
+                    write_csv(path, rows)
+                if not str(known[astuple(chosen)]["fault"]).startswith(WorldError.__name__):
+                    break
 
 
 def compare(chosen: Combination, steps: int, files: Path, other: Pool) -> Comparison:
     """Drive a combination in this process and in `other`."""
-    row, start = Comparison(**asdict(chosen)), time.perf_counter()
+    row, start = Comparison(**asdict(chosen), commit=short_commit()), time.perf_counter()
     try:
         with closing(_simulation(chosen, steps, files, _SCENES)) as simulation:
             simulation.reset()

@@ -24,7 +24,7 @@ os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUM
 
 import numpy as np
 import torch
-from combinations import Combination, every_option, write_world_files
+from combinations import ROOMY_WORLD, Combination, every_option, write_world_files
 
 from dune_rl.commands.benchmark.measuring import memory_mib
 from dune_rl.config.build import make_learning_env
@@ -46,7 +46,6 @@ _POLICY = Path(__file__).parents[1] / "policies" / "all_worlds_1" / "policy.pt"
 _DRIVERS = ("random", "go_to_goal", "random", "oracle", "random", "mppi", "go_to_goal", "planner")
 # The published policy is of this robot.
 _POLICY_ROBOT, _POLICY_DRIVERS = "rover_zero", ("policy", "policy", "random", "oracle", "policy", "mppi")
-_ROOMY_WORLD = "flat"
 # Deeper below the terrain than sinkage or a steep ditch can account for.
 _FALLEN_M = 0.5
 
@@ -127,9 +126,8 @@ def _drive_segment(folder: Path, segment: int, rounds: int) -> None:
                 try:
                     _drive(turn, chosen, folder, first + place)
                 except WorldError:
-                    # Large vehicles and herds have no room in most worlds.
-                    turn.world = _ROOMY_WORLD
-                    _drive(turn, replace(chosen, world=_ROOMY_WORLD), folder, first + place)
+                    turn.world = ROOMY_WORLD
+                    _drive(turn, replace(chosen, world=ROOMY_WORLD), folder, first + place)
             except DuneError as error:
                 turn.fault = f"{type(error).__name__}: {str(error).splitlines()[0]}"
             gc.collect()

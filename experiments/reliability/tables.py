@@ -1,8 +1,10 @@
 """Prints the tables of the pages of this folder (`experiments/reliability/*.md`)."""
 
+import operator
+from dataclasses import astuple, fields
 from pathlib import Path
 
-from combinations import DESIGNS
+from combinations import DESIGNS, Combination
 
 from dune_rl.core.files import read_csv
 
@@ -17,14 +19,18 @@ _SUMS = ("steps", "episodes", "cpu_s", "nan", "fallen", "diverged")
 def determinism_table(folder: Path) -> str:
     """A Markdown table with a row for each design that was driven."""
     lines = [
-        "| design | combinations | refused | steps | differ in the same process "
-        "| in another one, three scenes | after a restored state |",
-        "|---|---:|---:|---:|---:|---:|---:|",
+        "| design | combinations | no room in their world | driven in `flat` instead | steps "
+        "| differ in the same process | in another one, three scenes | after a restored state |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|",
     ]
     for design in DESIGNS:
         rows = read_csv(folder / f"determinism_{design}.csv")
         total = {name: sum(int(row[name]) for row in rows) for name in _COUNTS}
-        cells = [f"{len(rows)} of {len(DESIGNS[design]())}", sum(bool(row["fault"]) for row in rows)]
+        drawn = {astuple(each) for each in DESIGNS[design]()}
+        is_drawn = [tuple(row[each.name] for each in fields(Combination)) in drawn for row in rows]
+        has_fault = [bool(row["fault"]) for row in rows]
+        cells = [f"{sum(is_drawn)} of {len(drawn)}"]
+        cells += [sum(map(operator.and_, is_drawn, has_fault)), sum(map(operator.not_, is_drawn))]
         cells += [f"{total['steps']:,}"]
         cells += [f"{total[name]} of {total[name + '_of']:,}" for name in _COMPARED]
         if rows:
