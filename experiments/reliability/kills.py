@@ -1,11 +1,11 @@
 """Training runs that are ended at random moments, and resumed: does each end as an unbroken run does?
 
 `python experiments/reliability/kills.py FOLDER` adds to `FOLDER/kills.csv` the rows that it lacks, one for
-each run: 34 are killed at any moment, 16 amid the save of a file (from a moment on, as soon as the run's
-folder has the temporary file of that), 10 get SIGTERM, and 10 SIGINT twice. A moment is a share of the
-processor time of an unbroken run, so that it hardly depends on what else the machine does. A run is a fork of
-this process, which has loaded the libraries, and does what `python -m dune_rl.train ... resume=auto` does
-from there on, both times.
+each run: 34 are killed at any moment and 10 near their end, 21 amid the save of a file (from a moment on, as
+soon as the run's folder has the temporary file of that), 10 get SIGTERM, and 10 SIGINT twice. A moment is a
+share of the processor time of an unbroken run, so that it hardly depends on what else the machine does. A run
+is a fork of this process, which has loaded the libraries, and does what `python -m dune_rl.train ...
+resume=auto` does from there on, both times.
 """
 
 import os
@@ -67,7 +67,11 @@ ENDINGS = {
     f"{_AMID}{BEST_POLICY_FILE}": 5,
     "SIGTERM": 10,
     "SIGINT twice": 10,
+    "SIGKILL near the end": 10,
+    f"{_AMID}{CURVE_FILE}": 5,
 }
+# Shares of an unbroken run's processor time between which moments are drawn.
+_MOMENTS, _LATE_MOMENTS = (0.0, 0.95), (0.85, 1.0)
 _NUMBERS = {"SIGTERM": signal.SIGTERM, "SIGINT twice": signal.SIGINT}
 _BETWEEN_S = 0.1
 # An end that takes longer is taken for none.
@@ -199,7 +203,7 @@ def end_and_resume(number: int, ending: str, folder: Path, unbroken: Path, whole
     while took_s == 0.0:
         shutil.rmtree(folder, ignore_errors=True)
         log.unlink(missing_ok=True)
-        moment = float(rng.uniform(0.0, 0.95))
+        moment = float(rng.uniform(*(_LATE_MOMENTS if ending == "SIGKILL near the end" else _MOMENTS)))
 
         def is_due(child: int, least_s: float = moment * whole_s) -> bool:
             return processor_time(child) >= least_s and (amid is None or bool(temporary_files(folder, amid)))
