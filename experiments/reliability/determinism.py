@@ -4,7 +4,8 @@
 design and compares digests of all that a scene's agents observe, earn, end with and are measured, and of the
 motions and goals of all its bodies, step by step. It adds a row a combination to
 `FOLDER/determinism_DESIGN.csv`, and goes on with those that it does not have. Designs are `options` (every
-option), `pairs` (every pair of two options) and `all`. What has no room in its world is also driven in the flat one.
+option), `pairs` (every pair of two options) and `all`. What has no room in its world is also driven in the
+flat one.
 
 Two scenes drive until the first episodes have so many steps, with actions that depend on (episode, step)
 alone. They drive again after a new seeding; another process, with another hash seed, drives the same episodes

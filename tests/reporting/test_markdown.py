@@ -1,6 +1,7 @@
 """Tables in Markdown files: those of this repository are what the command makes of its committed files."""
 
 import math
+import re
 import sys
 from pathlib import Path
 
@@ -225,6 +226,17 @@ def test_rows_labels_digits_several_sources_and_the_paper(file: Path) -> None:
         "| collisions | 0.25, 0.75 | 0.75 | 52 in all |",
         "| episodes | 4, 4 | 4 |  |",
     ]
+
+
+def test_several_sources_have_their_mean_with_its_interval_and_each_figure(file: Path) -> None:
+    file.write_text(
+        "<!-- report: table\n"
+        "methods:\n  both: [{folder: a, policy: x}, {folder: a, policy: y}]\n"
+        f"measures: [SR, episodes]\n-->\n{END}\n"
+    )
+    rewrite_file(file)
+    row = file.read_text().splitlines()[-2]
+    assert re.fullmatch(r"\| both \| 50\.0 % \([\d.]+ to [\d.]+\); 75\.0, 25\.0 \| 4, 4 \|", row)
 
 
 def test_a_pair_is_a_sentence(file: Path) -> None:

@@ -7,16 +7,10 @@ from pydantic import Field
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.settings import Settings
-from dune_rl.metrics.catalogue import NOTHING, equation_of_p, format_difference, format_value, measure_of
-from dune_rl.reporting.comparison import (
-    EvaluatedPolicy,
-    average_methods,
-    compare_methods,
-    estimate_of,
-    estimate_rows,
-)
-from dune_rl.reporting.markdown.sources import BlockSources, SourceConf, markdown_table, percent_of
-from dune_rl.reporting.tables.table import estimate_cell
+from dune_rl.metrics.catalogue import NOTHING, equation_of_p, format_difference, measure_of
+from dune_rl.reporting.comparison import EvaluatedPolicy, compare_methods
+from dune_rl.reporting.markdown.seeds import SeedCells, mean_of_seeds
+from dune_rl.reporting.markdown.sources import BlockSources, SourceConf, markdown_table
 from dune_rl.statistics.paired_comparison import PairedComparison, holm_adjusted
 
 _MISSING = "not run"
@@ -99,24 +93,12 @@ def _averages(row: str, columns: Mapping[str, list[EvaluatedPolicy]]) -> dict[st
     found = {}
     for title, seeds in columns.items():
         if seeds:
-            try:
-                found[title] = average_methods(seeds) if len(seeds) > 1 else seeds[0]
-            except ValueError as error:
-                raise ConfigError(f"the seeds of {title}, {row}: {error}") from None
+            found[title] = mean_of_seeds(seeds, f"{title}, {row}")
     return found
 
 
 def _grid_cell(method: EvaluatedPolicy | None, seeds: Sequence[EvaluatedPolicy], conf: GridConf) -> str:
-    if method is None:
-        return _MISSING
-    measure, unit = measure_of(conf.measure), percent_of(conf.measure)
-    found, *each = (
-        estimate_of(conf.measure, str(one.runs[0].path), one.rows, estimate_rows(one.rows))
-        for one in (method, *(seeds if len(seeds) > 1 else ()))
-    )
-    cell = estimate_cell(measure, found, unit=unit, decimals=conf.decimals).plain
-    figures = ", ".join(format_value(measure, one.value, conf.decimals) for one in each)
-    return f"{cell}; {figures}" if figures else cell
+    return _MISSING if method is None else SeedCells(seeds, method).cell(conf.measure, conf.decimals)
 
 
 def _differences(

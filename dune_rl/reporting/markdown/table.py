@@ -1,26 +1,26 @@
 """The block `table`: methods and their measures."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Literal
 
 from pydantic import Field
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.settings import Settings
-from dune_rl.metrics.catalogue import format_value, measure_of
-from dune_rl.reporting.comparison import EvaluatedPolicy, estimate_of, estimate_rows
+from dune_rl.metrics.catalogue import measure_of
+from dune_rl.reporting.comparison import EvaluatedPolicy
+from dune_rl.reporting.markdown.seeds import SeedCells, mean_of_seeds
 from dune_rl.reporting.markdown.sources import BlockSources, SourceConf, markdown_table, percent_of
 from dune_rl.reporting.rows import read_rows
 from dune_rl.reporting.tables.methods import PAPER, PAPER_FIGURES
-from dune_rl.reporting.tables.table import estimate_cell
-from dune_rl.statistics.intervals import Estimate
 
 
 class TableConf(Settings):
     """A table of methods and measures.
 
-    `methods` are by their titles; one of several sources has a figure for each, without interval. `labels`
-    name measures otherwise. With `paper`, a world's name, the figures of the DUnE paper are beside ours.
+    `methods` are by their titles; one of several sources, such as seeds of training, has their mean, and each
+    figure behind it. Without `intervals` it has the figures alone. `labels` name measures otherwise. With
+    `paper`, a world's name, the figures of the DUnE paper are beside ours.
     """
 
     methods: dict[str, str | SourceConf | tuple[str | SourceConf, ...]] = Field(min_length=1)
@@ -42,8 +42,7 @@ def make_table(conf: TableConf, sources: BlockSources) -> str:
     for title, source in conf.methods.items():
         chosen = source if isinstance(source, tuple) else (source,)
         methods = [sources.find_method(each) for each in chosen]
-        estimates = [estimate_rows(method.rows) for method in methods]
-        lines.append([title, *(_table_cell(name, methods, estimates, conf) for name in conf.measures)])
+        lines.append([title, *_cells(title, methods, conf)])
     if conf.paper:
         told = (f"{paper[name]}{percent_of(name)}" if name in paper else "" for name in conf.measures)
         lines.append([PAPER, *told])
@@ -52,21 +51,15 @@ def make_table(conf: TableConf, sources: BlockSources) -> str:
     return markdown_table(lines)
 
 
-def _table_cell(
-    name: str, methods: list[EvaluatedPolicy], estimates: Sequence[Mapping[str, Estimate]], conf: TableConf
-) -> str:
-    if name == "episodes":
-        return ", ".join(f"{method.episodes}" for method in methods)
-    if name == "frames":
-        return ", ".join(_frames(method) for method in methods)
-    known = [
-        estimate_of(name, str(method.runs[0].path), method.rows, found)
-        for method, found in zip(methods, estimates, strict=True)
-    ]
-    measure, decimals = measure_of(name), conf.decimals.get(name)
-    if len(known) == 1 and conf.intervals:
-        return estimate_cell(measure, known[0], unit=percent_of(name), decimals=decimals).plain
-    return ", ".join(format_value(measure, found.value, decimals) for found in known) + percent_of(name)
+def _cells(title: str, methods: Sequence[EvaluatedPolicy], conf: TableConf) -> Iterator[str]:
+    cells = SeedCells(methods, mean_of_seeds(methods, title) if conf.intervals else None)
+    for name in conf.measures:
+        if name == "episodes":
+            yield ", ".join(f"{method.episodes}" for method in methods)
+        elif name == "frames":
+            yield ", ".join(_frames(method) for method in methods)
+        else:
+            yield cells.cell(name, conf.decimals.get(name))
 
 
 def _frames(method: EvaluatedPolicy) -> str:
