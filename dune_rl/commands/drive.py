@@ -13,6 +13,7 @@ from dune_rl.commands import command_line
 from dune_rl.config.checks import validate
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.files import write_csv
+from dune_rl.core.suggestions import split_word
 from dune_rl.ros.dds_types import require_live_topics
 from dune_rl.ros.library import require_rosbags
 from dune_rl.ros.settings import DrivingConf, NetworkConf
@@ -55,7 +56,7 @@ def parse_words(words: Sequence[str]) -> DriveConf:
     """The settings among the words of a command line; `ConfigError` where they are not valid."""
     values: dict[str, Any] = {"topics": {}}
     for word in words:
-        key, equals, text = word.lstrip("+").partition("=")
+        key, equals, text = split_word(word.lstrip("+"))
         if not equals:
             raise ConfigError(f"cannot read {word!r}; write key=value: {_HINT}")
         if key.startswith(_TOPICS):

@@ -9,8 +9,8 @@ from rich.console import Console
 
 from dune_rl.commands import command_line
 from dune_rl.config.commands import ViewConf
-from dune_rl.config.overrides import quote_text, text_word
 from dune_rl.config.schema import Conf, EnvConf
+from dune_rl.core.suggestions import quote_text, text_word
 from dune_rl.robots.settings import RobotSettings
 
 if TYPE_CHECKING:

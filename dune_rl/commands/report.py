@@ -12,6 +12,7 @@ from dune_rl.commands import command_line
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.paths import unused_folder
 from dune_rl.core.settings import Settings
+from dune_rl.core.suggestions import split_word
 from dune_rl.reporting.folder import FIGURES, PAGE, TABLES, check_folder, replace_report, why_no_folder
 
 # Everything else takes seconds to load: only when words and folders are right.
@@ -40,7 +41,7 @@ def parse_words(words: Sequence[str]) -> tuple[list[Path], ReportConf]:
     A word with = is a setting, unless there is a folder of that name.
     """
     folders = [word for word in words if "=" not in word or Path(word).exists()]
-    values = {key: text for key, _, text in (word.partition("=") for word in words if word not in folders)}
+    values = {key: text for key, _, text in (split_word(word) for word in words if word not in folders)}
     if "into" not in values and not folders:
         raise ConfigError("name the folders of runs or evaluations: python -m dune_rl.report runs/NAME")
     try:

@@ -11,6 +11,7 @@ from dune_rl.config.compose import compose, override_value
 from dune_rl.config.schema import Conf
 from dune_rl.core.errors import CheckpointError, ConfigError
 from dune_rl.core.folder_lock import LOCK_FILE
+from dune_rl.core.suggestions import typed_word
 from dune_rl.core.untrusted_files import parse_yaml
 from dune_rl.learning.checkpoint import (
     CHECKPOINT_FILE,
@@ -145,7 +146,8 @@ def _require_equal(before: Conf, conf: Conf, folder: Path) -> None:
     more = f" and {len(found) - _DIFFERENCES_SHOWN} more" if len(found) > _DIFFERENCES_SHOWN else ""
     raise CheckpointError(
         f"{folder} holds a run of other settings: {', '.join(found[:_DIFFERENCES_SHOWN])}{more}\n"
-        f"Give the settings that it began with, or another folder; resume={folder} goes on with changed ones."
+        "Give the settings that it began with, or another folder; "
+        f"{typed_word('resume', folder)} goes on with changed ones."
     )
 
 

@@ -29,13 +29,13 @@ from dune_rl.commands.resuming import (
 )
 from dune_rl.config.compose import check_sweep, compose, override_value
 from dune_rl.config.group_files import describe_owner
-from dune_rl.config.overrides import text_word
 from dune_rl.config.schema import Conf
 from dune_rl.core import paths
 from dune_rl.core.errors import CheckpointError, ConfigError, DuneError
 from dune_rl.core.folder_lock import LOCK_FILE
 from dune_rl.core.machine import available_cores
 from dune_rl.core.ray_cluster import check_installed
+from dune_rl.core.suggestions import text_word
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE, CONFIG_FILE
 from dune_rl.learning.run.locks import check_unused, reserve_cores
 

@@ -1,6 +1,5 @@
 """Overrides of the command line in Hydra's form, and the options of groups, users' parts among them."""
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -34,8 +33,6 @@ REGISTRIES: Mapping[str, Registry[Any]] = {
 _PROVIDER = "dune_rl"
 # Letters of a word that a message repeats.
 _MOST_REPEATED = 200
-# Texts that Hydra's grammar takes as they are.
-_PLAIN = re.compile(r"[A-Za-z0-9_./-]+")
 
 
 def offer_user_parts(folders: Sequence[str] = ()) -> None:
@@ -149,20 +146,6 @@ class ParsedOverrides:
                 _hydra_word(override, "" if override.key_or_group in stated else "++", first_of_sweep)
             )
         return words
-
-
-def text_word(key: str, text: str) -> str:
-    """The override that sets `key` to a text."""
-    return f"{key}={quote_text(text)}"
-
-
-def quote_text(text: str) -> str:
-    """A text in an override, in quotes where Hydra does not read it without."""
-    if _PLAIN.fullmatch(text):
-        return text
-    # Before a quote, and at the end, backslashes are doubled.
-    escaped = re.sub(r'(\\*)("|$)', lambda found: 2 * found[1] + (found[2] and '\\"'), text)
-    return f'"{escaped}"'
 
 
 def parse_overrides(overrides: Sequence[str], loader: ConfigLoader) -> ParsedOverrides:

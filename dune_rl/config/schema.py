@@ -234,7 +234,7 @@ class Conf(EnvConf):
 
     learning: AlgorithmConf = Field(default_factory=lambda: ALGORITHMS.parse_settings({"name": "sac"}))
     seed: Seed = 1
-    total_frames: int = Field(2_500_000, ge=1)
+    total_frames: int = Field(2_500_000, ge=1, lt=2**63)
     device: Literal["cpu", "cuda"] = "cpu"
     run_dir: str = Field("runs", min_length=1)
     objective: str = Field("success", min_length=1)

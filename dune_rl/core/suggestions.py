@@ -1,7 +1,12 @@
-"""Words for what was probably meant, and for what there is to choose from."""
+"""Words for what was probably meant, for what there is to choose from, and for what to type."""
 
 import difflib
+import re
+import shlex
 from collections.abc import Iterable
+
+# Texts that Hydra's grammar takes as they are.
+_PLAIN = re.compile(r"[A-Za-z0-9_./-]+")
 
 
 def closest(word: str, known: Iterable[str], likeness: float = 0.6) -> str | None:
@@ -21,3 +26,29 @@ def advise(word: str, known: Iterable[str]) -> str:
     listed = list(known)
     near = closest(word, listed)
     return f"did you mean {near}?" if near else f"choose {one_of(listed)}"
+
+
+def text_word(key: str, text: str) -> str:
+    """The override that sets `key` to a text."""
+    return f"{key}={quote_text(text)}"
+
+
+def quote_text(text: str) -> str:
+    """A text in an override, in quotes where Hydra does not read it without."""
+    if _PLAIN.fullmatch(text):
+        return text
+    # Before a quote, and at the end, backslashes are doubled.
+    escaped = re.sub(r'(\\*)("|$)', lambda found: 2 * found[1] + (found[2] and '\\"'), text)
+    return f'"{escaped}"'
+
+
+def typed_word(key: str, text: object) -> str:
+    """The override that sets `key` to a text, as it is typed in a shell."""
+    return shlex.quote(text_word(key, str(text)))
+
+
+def split_word(word: str) -> tuple[str, str, str]:
+    """Key, "=" and text of a word that Hydra does not read; quotes about the text are removed."""
+    key, equals, text = word.partition("=")
+    is_quoted = len(text) > 1 and text[0] == text[-1] and text[0] in "\"'"
+    return key, equals, text[1:-1] if is_quoted else text

@@ -15,6 +15,7 @@ from dune_rl.config.commands import EvaluateConf
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.files import sha256_of, write_atomically, write_csv
 from dune_rl.core.folder_lock import FolderLock
+from dune_rl.core.suggestions import typed_word
 from dune_rl.core.untrusted_files import parse_yaml
 from dune_rl.evaluation.blocks import FinishedEpisode
 from dune_rl.evaluation.columns import describe_columns
@@ -171,7 +172,7 @@ def check_free(path: Path, *, overwrite: bool) -> None:
         complete = bool(read_provenance(path).get("complete"))
     except ConfigError:
         complete = True
-    going_on = "" if complete else f"go on with resume={path}, "
+    going_on = "" if complete else f"go on with {typed_word('resume', path)}, "
     raise ConfigError(
         f"out={path} holds results already; choose another folder, {going_on}or replace them with "
         "overwrite=true"

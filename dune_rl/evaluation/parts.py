@@ -8,6 +8,7 @@ from rich.console import Console
 
 from dune_rl.config.commands import EvaluateConf
 from dune_rl.core.errors import ConfigError
+from dune_rl.core.suggestions import typed_word
 from dune_rl.evaluation.blocks import FinishedEpisode, missing_blocks
 from dune_rl.evaluation.folder import PROVENANCE, ResultsFolder, check_free, read_provenance, read_settings
 from dune_rl.evaluation.protocols.report import finished_runs
@@ -65,7 +66,7 @@ def _check_complete(
     for conf, folder in zip(settings, folders, strict=True):
         of_part = plan.part_of(conf)
         if any((policy, number) not in done for policy in range(len(plan.sources)) for number in of_part):
-            raise ConfigError(f"{folder} is not complete; go on with resume={folder}")
+            raise ConfigError(f"{folder} is not complete; go on with {typed_word('resume', folder)}")
     if missing := missing_blocks(len(plan.sources), plan.episodes, done, 1, 1):
         there = ", ".join(str(conf.part) for conf in settings)
         raise ConfigError(

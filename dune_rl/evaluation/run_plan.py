@@ -7,8 +7,8 @@ from pathlib import Path
 from rich.console import Console
 
 from dune_rl.config.commands import Processes
-from dune_rl.config.overrides import text_word
 from dune_rl.core.files import write_csv
+from dune_rl.core.suggestions import text_word
 from dune_rl.evaluation.blocks import EpisodeBlock, FinishedEpisode, missing_blocks
 from dune_rl.evaluation.datasets.writing import dataset_spaces, write_dataset
 from dune_rl.evaluation.folder import ATTEMPTS, COMPARISON, RUNS, SUMMARY, ResultsFolder

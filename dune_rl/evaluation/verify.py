@@ -11,6 +11,7 @@ from rich.console import Console
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.seeding import stream
+from dune_rl.core.suggestions import typed_word
 from dune_rl.evaluation.blocks import EpisodeBlock, FinishedEpisode
 from dune_rl.evaluation.folder import EPISODES, changed_files, read_provenance
 from dune_rl.evaluation.running import BlockRunner, EvaluationPlan
@@ -98,7 +99,9 @@ def verify_folder(path: Path, plan: EvaluationPlan, sample: int, console: Consol
             runner.run(block, compare)
     runner.close()
     if not repeated and not complete:
-        raise ConfigError(f"{path} has none of the sampled episodes; go on with resume={path} first")
+        raise ConfigError(
+            f"{path} has none of the sampled episodes; go on with {typed_word('resume', path)} first"
+        )
     edited = []
     if missing and complete:
         edited += [f"{missing} of {missing + len(repeated)} sampled rows are missing in {EPISODES}.csv."]
@@ -121,7 +124,7 @@ def verify_folder(path: Path, plan: EvaluationPlan, sample: int, console: Consol
 def _read_rows(path: Path, complete: bool) -> dict[tuple[str, str, str], dict[str, str]]:
     file = path / f"{EPISODES}.csv"
     if not file.exists() and not complete:
-        raise ConfigError(f"{path} has no tables yet; go on with resume={path} first")
+        raise ConfigError(f"{path} has no tables yet; go on with {typed_word('resume', path)} first")
     try:
         with file.open(newline="", encoding="utf-8") as opened:
             rows = list(csv.DictReader(opened))

@@ -15,6 +15,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
 from dune_rl.core.errors import CheckpointError, DivergenceError, DuneWarning, TrainingError
+from dune_rl.core.suggestions import typed_word
 from dune_rl.env.curriculum import CurriculumConf
 from dune_rl.learning.algorithm import MakeEnv
 from dune_rl.learning.checkpoint import (
@@ -225,7 +226,8 @@ class Trainer:
                 self._save(collector, with_experience=True)
                 self._log.write()
                 raise TrainingError(
-                    f"{error}\nAll is saved at {self.frames:,} frames; go on with resume={self._folder.path}"
+                    f"{error}\nAll is saved at {self.frames:,} frames; go on with "
+                    f"{typed_word('resume', self._folder.path)}"
                 ) from error
             except OSError as error:
                 if error.errno not in _DISK_ERRORS:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from dune_rl.core.errors import ConfigError
+from dune_rl.core.suggestions import typed_word
 from dune_rl.core.untrusted_files import printable
 from dune_rl.evaluation.episode_sets.files import read_episode_set, set_names
 from dune_rl.evaluation.folder import CONFIG, EPISODES, PART, PROVENANCE, STEPS, changed_files
@@ -141,7 +142,7 @@ class _Reader:
             done = f"{provenance.get('finished', 0)}{_total_episodes(provenance)}"
             raise ConfigError(
                 f"was cut off after {done} episodes, of which short ones end first; go on with python -m "
-                f"dune_rl.evaluate resume={path}"
+                f"dune_rl.evaluate {typed_word('resume', path)}"
             )
         if not file.exists():
             raise ConfigError(f"has no {file.name}; evaluate again")

@@ -14,6 +14,7 @@ from dune_rl.config.build import build_world
 from dune_rl.config.checks import validate
 from dune_rl.config.compose import compose_environment
 from dune_rl.core.errors import ConfigError
+from dune_rl.core.suggestions import split_word
 from dune_rl.rendering.mesh_files.files import FORMATS as MESHES
 from dune_rl.trajectories.files import WALKING_ACTOR, WALKING_ACTOR_HIP_M, Appearance
 from dune_rl.trajectories.plan import SPACING_M, Mode, plan_on_ground
@@ -105,14 +106,14 @@ def parse_words(words: Sequence[str]) -> tuple[str, list[str], TrajectoryConf]:
     world_words: list[str] = []
     values: dict[str, Any] = {}
     for word in words:
-        key, equals, text = word.partition("=")
+        key, equals, text = split_word(word)
         key = key.lstrip("+")
         if not equals:
             raise ConfigError(f"cannot read {word!r}; write key=value: {_HINT}")
         if key == "world":
             world = text
         elif key.startswith("world."):
-            world_words.append(f"{key}={text}")
+            world_words.append(word.lstrip("+"))
         else:
             # Paths and names are taken as they are, not parsed.
             values[key] = text if key in _TEXTS else _parse(key, text)

@@ -98,7 +98,9 @@ def faults_table(folder: Path) -> str:
     for row in read_csv(folder / "faults.csv"):
         again = {"": "", "0": "goes on to its end"}.get(row["resumed"], f"exit code {row['resumed']}")
         said = f"`{row['said']}`" if row["said"] else ""
-        lines.append(f"| {row['fault']} | {row['exit_code']} | {row['after_s']} | {said} | {again} |")
+        # What went on had the rest of its training before it.
+        after_s = row["after_s"] if row["exit_code"] != "0" else ""
+        lines.append(f"| {row['fault']} | {row['exit_code']} | {after_s} | {said} | {again} |")
     return "\n".join(lines)
 
 

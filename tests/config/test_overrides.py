@@ -1,5 +1,6 @@
 """Overrides, faulty ones above all: what is refused, and in which words."""
 
+import shlex
 from pathlib import Path
 
 import hydra
@@ -9,10 +10,10 @@ from hydra.core.hydra_config import HydraConfig
 
 from dune_rl.config.commands import EvaluateConf
 from dune_rl.config.compose import check_sweep, compose, compose_environment, override_value
-from dune_rl.config.overrides import text_word
 from dune_rl.config.schema import Conf, EnvConf
 from dune_rl.core import paths
 from dune_rl.core.errors import ConfigError
+from dune_rl.core.suggestions import split_word, text_word, typed_word
 from dune_rl.worlds.flat import FlatConf
 
 CONF = paths.conf_folder()
@@ -276,3 +277,11 @@ def test_a_broken_file_of_the_user_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize("text", ["a/b-1.sdf", "my yärd/w.sdf", "a,b=[c]", "it's", 'a"b', "a\\", 'a\\"b\\'])
 def test_a_text_is_quoted_as_hydra_reads_it(text: str) -> None:
     assert override_value([text_word("world.path", text)], "world.path") == text
+    assert override_value(shlex.split(typed_word("world.path", text)), "world.path") == text
+
+
+@pytest.mark.parametrize("text", ["a/b-1.sdf", "my yärd/w.sdf", "it's", "a=b", ""])
+def test_a_text_in_quotes_is_read_without_hydra(text: str) -> None:
+    for word in (f"out={text}", text_word("out", text), f"out='{text}'"):
+        assert split_word(word) == ("out", "=", text)
+    assert split_word("run") == ("run", "", "") and split_word('a="') == ("a", "=", '"')

@@ -9,13 +9,14 @@ from dune_rl.commands.doctor.checks import Finding, check_cache, check_compiled,
 from dune_rl.commands.doctor.reference import REFERENCE, Reference, check_place, compare_drives
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.machine import available_cores, git_commit, memory_gib, package_versions, processor_name
+from dune_rl.core.suggestions import split_word
 
 _USAGE = "usage: python -m dune_rl.doctor [out=FILE.json] [reference=FILE.json]"
 
 
 def parse(words: Sequence[str]) -> dict[str, str]:
     """The words by their keys; raises ConfigError for others than `out` and `reference`."""
-    given = {key: value for key, _, value in (word.partition("=") for word in words)}
+    given = {key: value for key, _, value in map(split_word, words)}
     if not {*given} <= {"out", "reference"} or not all(given.values()):
         raise ConfigError(_USAGE)
     return given

@@ -10,9 +10,9 @@ from dune_rl.config.build import make_simulation
 from dune_rl.config.commands import GazeboConf
 from dune_rl.config.compose import compose
 from dune_rl.config.endless import without_ends
-from dune_rl.config.overrides import text_word
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.paths import file_stem
+from dune_rl.core.suggestions import text_word
 from dune_rl.core.version import VERSION
 from dune_rl.env.simulation import VectorSimulation
 from dune_rl.gazebo.episode import is_recorded

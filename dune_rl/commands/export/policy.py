@@ -15,6 +15,7 @@ from dune_rl.config.checks import validate
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.files import sha256_of
 from dune_rl.core.settings import Settings
+from dune_rl.core.suggestions import split_word
 from dune_rl.core.version import VERSION
 from dune_rl.learning.checkpoint import read_policy_file
 from dune_rl.learning.onnx_file import ActingNetwork, check_exporter, sample_inputs, write_onnx
@@ -40,7 +41,7 @@ def parse_words(words: Sequence[str]) -> PolicyConf:
     """The settings among the words of a command line; `ConfigError` where they are not valid."""
     values = {}
     for word in words:
-        key, equals, values[key] = word.partition("=")
+        key, equals, values[key] = split_word(word)
         if not equals:
             raise ConfigError(f"cannot read {word!r}; write key=value (see --help)")
     conf = validate(PolicyConf, values)

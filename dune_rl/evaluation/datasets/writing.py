@@ -12,6 +12,7 @@ import gymnasium
 from torchrl.envs import EnvBase
 
 from dune_rl.core.errors import ConfigError
+from dune_rl.core.suggestions import typed_word
 from dune_rl.core.version import VERSION
 from dune_rl.env.observation_layout import ObservationLayout, box
 from dune_rl.evaluation.datasets.datasheet import write_datasheet
@@ -106,7 +107,8 @@ def write_dataset(plan: EvaluationPlan, folder: ResultsFolder, spaces: DatasetSp
             shutil.rmtree(temporary, ignore_errors=True)
     except OSError as error:
         raise ConfigError(
-            f"dataset={plan.conf.dataset} cannot be written ({error}); go on with resume={folder.path}"
+            f"dataset={plan.conf.dataset} cannot be written ({error}); go on with "
+            f"{typed_word('resume', folder.path)}"
         ) from error
     return path
 

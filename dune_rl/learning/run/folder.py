@@ -9,6 +9,7 @@ import yaml
 
 from dune_rl.core.errors import CheckpointError
 from dune_rl.core.files import write_atomically
+from dune_rl.core.suggestions import typed_word
 from dune_rl.learning.algorithm import Algorithm
 from dune_rl.learning.checkpoint import (
     BEST_POLICY_FILE,
@@ -76,7 +77,7 @@ class RunFolder:
     def describe_last_save(self) -> str:
         """What a run that ends without another save can be gone on from."""
         if (self.path / CHECKPOINT_FILE).exists():
-            return f"The last save is whole; go on from it with resume={self.path}"
+            return f"The last save is whole; go on from it with {typed_word('resume', self.path)}"
         return "Nothing was saved; begin again"
 
     def save_policies(

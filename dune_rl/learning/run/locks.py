@@ -8,6 +8,7 @@ from pathlib import Path
 from dune_rl.core.errors import CheckpointError
 from dune_rl.core.files import try_lock
 from dune_rl.core.folder_lock import LOCK_FILE, FolderLock
+from dune_rl.core.suggestions import typed_word
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE
 
 # Files of a run, which may have no checkpoint: it was cut off early, or published without it.
@@ -28,7 +29,8 @@ def check_unused(folder: Path) -> None:
     """
     if (folder / CHECKPOINT_FILE).exists():
         raise CheckpointError(
-            f"{folder} already holds a run; continue it with resume={folder}, or choose another run_dir"
+            f"{folder} already holds a run; continue it with {typed_word('resume', folder)}, or choose "
+            "another run_dir"
         )
     if (folder / LOCK_FILE).exists():
         lock_run(folder).release()

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.settings import Settings
+from dune_rl.core.suggestions import typed_word
 from dune_rl.core.untrusted_files import parse_yaml
 from dune_rl.metrics.catalogue import Measure, measure_of
 from dune_rl.reporting.markdown.sources import BlockSources, SourceConf, markdown_table
@@ -105,7 +106,8 @@ def _summary_of(folder: Path, told: SourceConf) -> list[Row]:
     file = folder / "summary.csv"
     if not file.is_file():
         raise ConfigError(
-            f"{told.folder} has no summary.csv; evaluate again, or go on with resume={told.folder}"
+            f"{told.folder} has no summary.csv; evaluate again, or go on with "
+            f"{typed_word('resume', told.folder)}"
         )
     rows = [row for row in read_rows(file, empty=math.nan) if told.policy in (None, row.get("policy"))]
     if not rows:
