@@ -5,8 +5,8 @@ import os
 import shutil
 import signal
 import sys
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,6 +32,7 @@ from dune_rl.config.group_files import describe_owner
 from dune_rl.config.schema import Conf
 from dune_rl.core import paths
 from dune_rl.core.errors import CheckpointError, ConfigError, DuneError
+from dune_rl.core.files import removing_empty
 from dune_rl.core.folder_lock import LOCK_FILE
 from dune_rl.core.machine import available_cores
 from dune_rl.core.ray_cluster import check_installed
@@ -58,6 +59,8 @@ def run(words: Sequence[str]) -> None:
             raise ConfigError(f"resume=FOLDER goes on with one run; write resume={AUTO}, or leave -m out")
         _go_on(find_named_run(str(source), parsed.overrides, folders))
         return
+    if parsed.multirun and override_value(parsed.overrides, "run_dir") is not None:
+        raise ConfigError("run_dir names the folder of one run; with -m write hydra.sweep.dir=FOLDER")
     if not parsed.multirun:
         conf = compose(Conf, parsed.overrides, folders)
         if parsed.cfg == "job":
@@ -79,20 +82,8 @@ def run(words: Sequence[str]) -> None:
         # The files of a run that goes on, or of another that is in its folder, stay as they are.
         ready.append("hydra.output_subdir=null")
     flags = [word for word in sys.argv[1:] if word not in parsed.overrides]
-    with _without_empty_folders([] if parsed.multirun else Path(conf.run_dir).parents):
+    with nullcontext() if parsed.multirun else removing_empty(Path(conf.run_dir).parent):
         _run_hydra([*flags, *ready])
-
-
-@contextmanager
-def _without_empty_folders(folders: Iterable[Path]) -> Iterator[None]:
-    """Remove those of `folders`, the innermost first, that were made in the block and are empty after it."""
-    missing = [folder for folder in folders if not folder.exists()]
-    try:
-        yield
-    finally:
-        for folder in missing:
-            with suppress(OSError):
-                folder.rmdir()
 
 
 def _run_hydra(words: Sequence[str]) -> None:
