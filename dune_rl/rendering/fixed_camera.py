@@ -68,7 +68,7 @@ class FixedCamera:
         points += np.float32(_OFF_SURFACE_M) * self._to_sun
         if not light.shadows:
             return pixels[:0], points[:0]
-        lit = ~self._renderer.baked.rays.any_hit(points, np.tile(self._to_sun, (len(points), 1)))
+        lit = ~self._renderer.baked.rays.any_hit(points, np.broadcast_to(self._to_sun, points.shape))
         return pixels[lit], points[lit]
 
     def _trace_changed(self, bodies: Sequence[PosedMesh], posed: PosedBodies) -> tuple[Pixels, Traced]:
@@ -81,7 +81,7 @@ class FixedCamera:
         changed = np.zeros(self.width * self.height, np.bool_)
         changed[shows] = True
         maybe, points = self._sunlit.behind(corners)
-        changed[maybe[posed.rays.any_hit(points, np.tile(self._to_sun, (len(points), 1)))]] = True
+        changed[maybe[posed.rays.any_hit(points, np.broadcast_to(self._to_sun, points.shape))]] = True
         pixels = np.flatnonzero(changed)
         traced = self._world.select(pixels)
         at = np.searchsorted(pixels, shows)

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -104,16 +104,16 @@ class Renderer:
         shape = points.shape[:2]
         self._albedo = baked.scenery.ground
         self._normals = smooth_normals(baked.terrain, points.reshape(-1, 3)[:, :2]).reshape(*shape, 3)
-        draws = np.random.default_rng(0).standard_normal((GRAIN_TEXELS, GRAIN_TEXELS))
-        grain = sum(
-            ndimage.gaussian_filter(draws, sigma, mode="wrap") * sigma * weight
-            for sigma, weight in ((0.7, 1.0), (2.0, 1.2), (6.0, 1.0))
-        )
-        self._grain = (grain / np.std(grain)).astype(np.float32).ravel()
+        self._grain = _draw_grain()
         xmin, xmax, ymin, ymax = baked.terrain.extent
         self._corner = np.array([xmin, ymin], np.float32)
         self._corners = baked.props.vertices[baked.props.faces].astype(np.float32)
         self._per_m = np.array([1.0 / (xmax - xmin), 1.0 / (ymax - ymin)], np.float32)
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether nothing is in the air or grows in front of the world."""
+        return self._media.clear
 
     def render(
         self,
@@ -289,7 +289,7 @@ class Renderer:
             sunlit[facing] = 1.0
             return sunlit
         origins = points[facing] + normals[facing] * np.float32(_OFF_SURFACE_M)
-        directions = np.tile(to_sun, (len(origins), 1))
+        directions = np.broadcast_to(to_sun, origins.shape)
         free = ~self.baked.rays.any_hit(origins, directions)
         if bodies is not None:
             free &= ~bodies.rays.any_hit(origins, directions)
@@ -306,6 +306,17 @@ class Renderer:
         share = (0.02 + 0.98 * (1.0 - np.clip(cosine, 0.0, 1.0)) ** 5)[:, None] * gloss[shiny, None]
         lit[shiny] += share * (self._sky.colours(mirrored) - lit[shiny])
         return lit
+
+
+@lru_cache(maxsize=1)
+def _draw_grain() -> Floats:
+    """Noise of several scales, of standard deviation 1, in a square of texels that repeats, row by row."""
+    draws = np.random.default_rng(0).standard_normal((GRAIN_TEXELS, GRAIN_TEXELS))
+    grain = sum(
+        ndimage.gaussian_filter(draws, sigma, mode="wrap") * sigma * weight
+        for sigma, weight in ((0.7, 1.0), (2.0, 1.2), (6.0, 1.0))
+    )
+    return (grain / np.std(grain)).astype(np.float32).ravel()
 
 
 def to_bytes(colours: Floats) -> NDArray[np.uint8]:

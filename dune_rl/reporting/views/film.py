@@ -189,7 +189,7 @@ class _Frames:
         # From a little south, so that north is up.
         eye = (float(middle[0]), float(middle[1]) - 0.01, ground + _MAP_EYE_M)
         view = Viewpoint(eye, (float(middle[0]), float(middle[1]), ground), fov_rad)
-        clear = Renderer(self._renderer.baked)
+        clear = self._renderer if self._renderer.is_clear else Renderer(self._renderer.baked)
         return view, clear.render(view, width, height, (), self._samples)
 
     def _draw_map(self, number: int) -> Picture:
