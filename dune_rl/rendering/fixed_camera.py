@@ -1,11 +1,13 @@
 """Pictures from a camera that stands still: of all pixels, only those that change are traced again."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dune_rl.geometry.arrays import Array, Floats
+from dune_rl.geometry.compiled import compile_function
 from dune_rl.rendering.moving_mesh import PosedBodies, PosedMesh
 from dune_rl.rendering.renderer import Renderer, Traced, Viewpoint, mark_both_sides, to_bytes
 
@@ -73,14 +75,13 @@ class FixedCamera:
 
     def _trace_changed(self, bodies: Sequence[PosedMesh], posed: PosedBodies) -> tuple[Pixels, Traced]:
         """Sorted numbers (K,) of the pixels that show a body or its shadow, and what their rays meet."""
-        corners = np.array([body.corners for body in bodies])
-        near = self._near(corners)
+        near = self._near(posed)
         hit = posed.rays.hits(self._eye[None], self._directions[near], self._world.range[near])
         met = np.flatnonzero(hit.face >= 0)
         shows = near[met]
         changed = np.zeros(self.width * self.height, np.bool_)
         changed[shows] = True
-        maybe, points = self._sunlit.behind(corners)
+        maybe, points = self._sunlit.behind(np.array([body.corners for body in bodies]))
         changed[maybe[posed.rays.any_hit(points, np.broadcast_to(self._to_sun, points.shape))]] = True
         pixels = np.flatnonzero(changed)
         traced = self._world.select(pixels)
@@ -89,21 +90,34 @@ class FixedCamera:
         traced.is_body[at] = True
         return pixels, traced
 
-    def _near(self, corners: Array) -> Pixels:
-        """Numbers of the pixels in the rectangles about boxes of `corners` (B, 8, 3), with a margin."""
+    def _near(self, posed: PosedBodies) -> Pixels:
+        """Numbers of the pixels in the rectangles about the faces of bodies, with a margin."""
         mask = np.zeros((self.height, self.width), np.bool_)
-        projected = self.view.project(corners.reshape(-1, 3), self.width, self.height)
-        columns, rows, depths = (each.reshape(-1, 8) for each in projected)
-        for column, row, depth in zip(columns, rows, depths, strict=True):
-            if (depth <= _NEAR_M).all():
-                continue
-            if (depth <= _NEAR_M).any():
-                # It is all about the eye.
-                mask[:] = True
-                break
-            left, top = (max(0, int(each.min()) - 2) for each in (column, row))
-            mask[top : max(0, int(row.max()) + 3), left : max(0, int(column.max()) + 3)] = True
+        if _mark_faces(mask, posed.faces, *self.view.project(posed.vertices, self.width, self.height)):
+            mask[:] = True
         return np.flatnonzero(mask)
+
+
+@compile_function
+def _mark_faces(mask: Any, faces: Any, columns: Any, rows: Any, depths: Any) -> bool:
+    """Mark the rectangles about faces (F, 3) in a picture, by the places of vertices; whether one of the
+    faces is all about the eye, so that it has none.
+    """
+    height, width = mask.shape
+    for number in range(len(faces)):
+        a, b, c = faces[number, 0], faces[number, 1], faces[number, 2]
+        if max(depths[a], depths[b], depths[c]) <= _NEAR_M:
+            continue
+        if min(depths[a], depths[b], depths[c]) <= _NEAR_M:
+            return True
+        left = max(0, int(min(columns[a], columns[b], columns[c])) - 1)
+        right = min(width, int(max(columns[a], columns[b], columns[c])) + 2)
+        top = max(0, int(min(rows[a], rows[b], rows[c])) - 1)
+        bottom = min(height, int(max(rows[a], rows[b], rows[c])) + 2)
+        for row in range(top, bottom):
+            for column in range(left, right):
+                mask[row, column] = True
+    return False
 
 
 class _SunlitPixels:

@@ -79,7 +79,7 @@ class PosedMesh:
 class PosedBodies:
     """Several posed meshes as one, in the world frame, so that rays meet all of them at once.
 
-    `albedo` (F, 3) is in linear RGB, of the faces of all of them.
+    `vertices` (V, 3) [m], `faces` (F, 3) and `albedo` (F, 3), in linear RGB, are of all of them.
     """
 
     def __init__(self, bodies: Sequence[PosedMesh]) -> None:
@@ -87,6 +87,6 @@ class PosedBodies:
         vertices = [body.position + body.shape.vertices @ body.rotation.T for body in bodies]
         starts = np.cumsum([0, *(len(each) for each in vertices[:-1])])
         faces = [shape.faces + start for shape, start in zip(shapes, starts, strict=True)]
-        joined = np.concatenate(vertices), np.concatenate(faces, dtype=np.int32)
-        self.rays = RayScene(*joined, short_lived=True)
+        self.vertices, self.faces = np.concatenate(vertices), np.concatenate(faces, dtype=np.int32)
+        self.rays = RayScene(self.vertices, self.faces, short_lived=True)
         self.albedo = np.concatenate([shape.albedo for shape in shapes])
