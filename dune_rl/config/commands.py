@@ -166,8 +166,8 @@ def _dataset_id(value: str) -> str:
     if _DATASET_ID.fullmatch(value):
         return value
     raise ValueError(
-        "NAMESPACE/NAME-vN names a dataset of Minari, as dune_rl/flat/planner-v0: letters, digits, - and _, "
-        f"in namespaces two or more (got {value})"
+        "NAMESPACE/NAME-vN names a dataset of Minari, as dune_rl/flat/planner-v0: of letters, digits, - and "
+        f"_, and at least two of them in each part of the namespace (got {value})"
     )
 
 

@@ -202,6 +202,8 @@ def changed_files(path: Path, provenance: Mapping[str, Any]) -> list[str]:
 
 def read_provenance(path: Path) -> dict[str, Any]:
     """provenance.json of a results folder; raises ConfigError if there is none."""
+    if not path.exists():
+        raise ConfigError(f"there is no folder {path}")
     try:
         content = json.loads((path / PROVENANCE).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):

@@ -139,7 +139,7 @@ class _Reader:
         provenance = _read_origin(path)
         file = path / f"{EPISODES}.csv"
         if provenance.get("complete") is False:
-            done = f"{provenance.get('finished', 0)}{_total_episodes(provenance)}"
+            done = f"{_finished_episodes(path, provenance)}{_total_episodes(provenance)}"
             raise ConfigError(
                 f"was cut off after {done} episodes, of which short ones end first; go on with python -m "
                 f"dune_rl.evaluate {typed_word('resume', path)}"
@@ -279,6 +279,15 @@ def _fit(policies: Sequence[object], command: Sequence[object]) -> bool:
         and all(isinstance(one, str | None) for one in sums)
         and all(isinstance(word, str) for word in command)
     )
+
+
+def _finished_episodes(path: Path, provenance: Mapping[str, Any]) -> Any:
+    """How many episodes an evaluation has finished: by the file of them where it was killed."""
+    try:
+        with (path / PART).open("rb") as file:
+            return sum(line.endswith(b"\n") for line in file)
+    except OSError:
+        return provenance.get("finished", 0)
 
 
 def _total_episodes(provenance: Mapping[str, Any]) -> str:

@@ -65,6 +65,15 @@ def test_a_protocol_that_was_cut_off_has_no_known_number_of_episodes(tmp_path: P
     assert "was cut off after 6 episodes" in note.text
 
 
+def test_an_evaluation_that_was_killed_has_the_episodes_of_its_file(tmp_path: Path) -> None:
+    folder = write_evaluation(
+        tmp_path / "a", run_rows(), config=PAPER, complete=False, finished=0, episodes=50
+    )
+    (folder / "episodes.part.jsonl").write_text("{}\n{}\n{}\n{")
+    (note,) = read_inputs([folder]).skipped
+    assert "was cut off after 3 of 50 episodes" in note.text
+
+
 def test_episodes_of_runs_are_not_run_again(tmp_path: Path) -> None:
     config = {"world": {"name": "flat"}, "protocol": "paper", "runs": 2, "policy": "x:y"}
     folder = write_evaluation(tmp_path / "a", run_rows(), config=config)
