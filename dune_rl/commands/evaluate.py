@@ -1,6 +1,5 @@
 """`python -m dune_rl.evaluate`: run the episodes, show the tables and write the results folder."""
 
-import os
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from datetime import datetime
@@ -11,6 +10,7 @@ from dune_rl.commands import command_line
 from dune_rl.config.commands import RAY, EvaluateConf, Processes
 from dune_rl.config.compose import override_value
 from dune_rl.core.errors import ConfigError
+from dune_rl.core.files import check_writable
 from dune_rl.core.paths import unused_folder
 from dune_rl.learning.checkpoint import interpreting, read_policy_file
 
@@ -246,13 +246,3 @@ def default_folder(plan: "EvaluationPlan") -> Path:
     cases = plan.conf.world.name if plan.episode_set is None else plan.episode_set.name
     protocol = [] if plan.conf.protocol is None else [plan.conf.protocol]
     return unused_folder(Path("evaluations"), datetime.now(), [plan.sources[0].name, cases, *protocol])
-
-
-def check_writable(out: Path) -> None:
-    """Raise ConfigError where a folder of results cannot be made."""
-    # Before the episodes are run, not after.
-    parent = next((each for each in (out, *out.parents) if each.exists()), Path())
-    if not parent.is_dir():
-        raise ConfigError(f"cannot write {out}: {parent} is a file; choose another place")
-    if not os.access(parent, os.W_OK):
-        raise ConfigError(f"out={out} cannot be written; choose another folder")

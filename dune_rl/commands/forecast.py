@@ -9,11 +9,10 @@ import numpy as np
 import yaml
 
 from dune_rl.commands import command_line
-from dune_rl.commands.evaluate import check_writable
 from dune_rl.config.commands import ForecastConf
 from dune_rl.config.compose import compose
 from dune_rl.core.errors import ConfigError
-from dune_rl.core.files import write_atomically, write_csv
+from dune_rl.core.files import check_writable, write_atomically, write_csv
 from dune_rl.core.paths import unused_folder
 from dune_rl.sensors.perception.motion_forecast import FORECAST_FILE, LEAST_CHANCE, MotionForecast
 

@@ -10,7 +10,7 @@ from dune_rl.commands import command_line
 from dune_rl.config.commands import ViewConf
 from dune_rl.config.compose import compose, override_value
 from dune_rl.config.saved import upgrade_saved
-from dune_rl.core.files import removing_empty
+from dune_rl.core.files import check_writable, removing_empty
 from dune_rl.learning.checkpoint import read_policy_file
 
 if TYPE_CHECKING:
@@ -36,6 +36,7 @@ def run(words: Sequence[str]) -> None:
     if parsed.cfg:
         command_line.print_settings(conf)
         return
+    check_writable(Path(conf.out))
     plan = None
     if episode_set is not None:
         conf = settings_of_episode(conf, episode_set, conf.episode)

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from dune_rl.core.errors import CheckpointError, DuneError
+from dune_rl.core.errors import CheckpointError, ConfigError, DuneError
 
 try:
     import fcntl
@@ -61,6 +61,15 @@ def write_atomically(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
         os.close(handle)
     _sync_folder(path.parent)
+
+
+def check_writable(folder: Path) -> None:
+    """Raise ConfigError where a folder, which need not be there, cannot be made or written to."""
+    there = next(each for each in (folder, *folder.parents) if each.exists())
+    if not there.is_dir():
+        raise ConfigError(f"cannot write {folder}: {there} is a file; choose another place")
+    if not os.access(there, os.W_OK):
+        raise ConfigError(f"cannot write {folder}: no permission; choose another place")
 
 
 @contextmanager

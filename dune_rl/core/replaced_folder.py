@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from dune_rl.core.errors import ConfigError
-from dune_rl.core.files import errors_naming, removing_empty
+from dune_rl.core.files import check_writable, errors_naming, removing_empty
 from dune_rl.core.folder_lock import FolderLock
 
 # Beside a folder: what takes its place, its entries while they leave it, and once all of them have left.
@@ -26,9 +26,7 @@ def check_replaceable(
     "a report", wrote there. What a killed process had begun to replace is whole again before.
     """
     _finish_replacing(out)
-    parent = next(each for each in (out, *out.absolute().parents) if each.exists())
-    if not parent.is_dir():
-        raise ConfigError(f"cannot write {out}: {parent} is a file; choose another out=FOLDER")
+    check_writable(out)
     if not out.exists():
         return
     others = sorted(each for each in find_others(out) if each.name != _INSIDE)

@@ -181,8 +181,8 @@ def test_the_episode_s_seed_is_not_the_training_s() -> None:
         (["set=flat-v1", "episode=200", "view=map"], "set=flat-v1 has the episodes 0 to 199"),
         (["set=flat-v1", "actors=none"], "set=flat-v1 determines actors; leave actors=none out"),
         (["-m", "seed=1,2"], "this command runs once; leave -m out"),
-        (["out=file"], "cannot write file: a file of that name is in the way; choose another place"),
-        (["out=file/views"], "cannot write file/views: a part of the path is a file; choose another place"),
+        (["out=file"], "cannot write file: file is a file; choose another place"),
+        (["out=file/views"], "cannot write file/views: file is a file; choose another place"),
     ],
 )  # fmt: skip
 def test_bad_input_is_refused_in_one_line(
