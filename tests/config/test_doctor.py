@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from documents import ROOT
 
 from dune_rl import doctor
 from dune_rl.commands.doctor import checks
@@ -151,6 +152,16 @@ def test_a_place_that_takes_no_file_is_told_before_anything_else(
 def test_other_words_are_refused(word: str, call: Call, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(doctor.main, word) == 2
     assert "usage: python -m dune_rl.doctor" in capsys.readouterr().err
+
+
+def test_the_reference_has_the_versions_of_the_constraints() -> None:
+    lines = (ROOT / "constraints.txt").read_text().splitlines()
+    pinned = dict(line.split("==") for line in lines if "==" in line)
+    # A local build, such as 2.13.0+cpu, is one of the pinned version.
+    versions = {name: text.partition("+")[0] for name, text in Reference.read(REFERENCE).versions.items()}
+    both = versions.keys() & pinned.keys()
+    assert len(both) > 15
+    assert {name: versions[name] for name in both} == {name: pinned[name] for name in both}
 
 
 @pytest.mark.slow

@@ -117,6 +117,23 @@ def test_the_table_of_speed_is_that_of_its_run() -> None:
     assert f"{environment['core_steps_per_s']:,.0f} control steps a second" in headline
 
 
+def test_the_costs_of_sensors_and_new_worlds_are_those_of_their_runs() -> None:
+    text = " ".join(SPEED_PAGE.read_text().split())
+    sensors = json.loads((EXPERIMENTS / "speed" / "sensors.jsonl").read_text())
+    camera, far = sensors["camera_speedup"], sensors["camera_speedup_heightfield"]
+    assert f"| {camera:.1f} \u00d7, {far:.0f} \u00d7 |" in text
+    assert f"(`lidar_speedup`) | {sensors['lidar_speedup']:.1f} \u00d7 |" in text
+    lines = (EXPERIMENTS / "speed" / "new_worlds.jsonl").read_text().splitlines()
+    worlds = [json.loads(line) for line in lines]
+    for kind in ("default", "camera"):
+        own = sorted((row for row in worlds if row["sensors"] == kind), key=lambda row: row["fresh_ms"])
+        first, last = own[0], own[-1]
+        shown = f"{first['fresh_ms'] / 1e3:.1f} (`{first['world']}`) to {last['fresh_ms'] / 1e3:.1f} s"
+        assert f"takes {shown} (`{last['world']}`)" in text
+        kept = [row["kept_ms"] / 1e3 for row in own]
+        assert f"and {min(kept):.1f} to {max(kept):.1f} s where" in text
+
+
 def test_the_cost_of_actors_is_that_of_its_run() -> None:
     found = json.loads((EXPERIMENTS / "speed" / "actors.jsonl").read_text())
     path, force, orca = (found[f"actors_cost{kind}"] for kind in ("", "_social_force", "_orca"))
@@ -142,6 +159,11 @@ def test_sizes_films_and_live_topics_are_those_of_their_runs() -> None:
     assert f"and {view:.0f} s at the 1920" in text
     assert f"the latter two took {before[1]:.0f} and {before[2]:.0f} s; on a slower machine" in text
     assert f"{first[0]:.0f}, {first[1]:.0f} and {first[2]:.0f} s." in text
+    with (EXPERIMENTS / "speed" / "films_in_turns.csv").open(newline="") as opened:
+        rows = list(csv.DictReader(opened))
+    old, new = ([float(row["film_cpu_s"]) for row in rows[first::2]] for first in (0, 1))
+    assert f"took {min(new):.1f} to {max(new):.1f} s, and by the code of {rows[0]['commit']}" in text
+    assert f"{min(old):.1f} to {max(old):.1f} s" in text
     with (EXPERIMENTS / "speed" / "live_topics.csv").open(newline="") as opened:
         (row,) = csv.DictReader(opened)
     assert f"take {row['median_ms']} ms in the median" in text and f"and {row['late_ms']} ms in 95" in text
