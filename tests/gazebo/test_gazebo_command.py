@@ -73,11 +73,12 @@ def test_actors_go_on_to_further_goals(folder: Path, call: Call) -> None:
     assert np.ptp(poses[25:, :2], axis=0).max() > 2.0
 
 
-@pytest.mark.slow(all_but=["*choose what to export*", "*exported apart*", "*no world*", "*other files*"])
+@pytest.mark.slow(all_but=["*choose what to export*", "*wrold*", "*exported apart*", "*no world*", "*other files*"])
 @pytest.mark.parametrize(
     ("words", "said"),
     [
         (("out=new",), "choose what to export: checkpoint=PATH"),
+        (("wrold=flat", "out=new"), "wrold is not a setting; did you mean world?"),
         (("world=flat", "checkpoint=a.pt", "out=new"), "a policy is exported apart"),
         (("robot=leo_rover", "checkpoint=a.pt", "out=new"), "a policy is exported apart"),
         (("world=inspektion", "out=new"), "there is no world 'inspektion'; did you mean inspection?"),

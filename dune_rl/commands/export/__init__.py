@@ -5,6 +5,8 @@ from typing import Literal
 
 from dune_rl.commands import command_line
 from dune_rl.core.errors import ConfigError
+from dune_rl.core.suggestions import closest
+from dune_rl.core.untrusted_files import printable
 
 Subject = Literal["policy", "world", "robot"]
 # What words name a subject of an export.
@@ -42,6 +44,9 @@ def subjects_of(overrides: Sequence[str]) -> set[Subject]:
     keys = [word.partition("=")[0].lstrip("+").partition(".")[0] for word in overrides]
     subjects = {_NAMED_BY[key] for key in keys if key in _NAMED_BY}
     if not subjects:
+        for key in keys:
+            if meant := closest(key, _NAMED_BY):
+                raise ConfigError(f"{printable(key)} is not a setting; did you mean {meant}?")
         raise ConfigError(
             "choose what to export: checkpoint=PATH out=FILE.onnx, world=NAME out=FOLDER, or robot=NAME "
             "out=FOLDER"

@@ -143,9 +143,9 @@ def read_episode_set(name: str) -> EpisodeSet:
     """The set of a name or path; raises ConfigError if it is damaged or its checksum differs."""
     file = find_episode_set(name)
     rows_file = file.with_suffix(".csv")
-    rows_text = _read_text(rows_file)
+    text, rows_text = _read_text(file), _read_text(rows_file)
     try:
-        raw = json.loads(_read_text(file))
+        raw = json.loads(text)
     except (ValueError, RecursionError):
         raise ConfigError(f"{file} is not JSON; copy the set again") from None
     if isinstance(raw, dict):

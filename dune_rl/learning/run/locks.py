@@ -38,7 +38,7 @@ def check_unused(folder: Path) -> None:
     if left is not None:
         raise CheckpointError(
             f"{folder} holds {left.name} of an earlier run, and no {CHECKPOINT_FILE} to go on with: choose "
-            "another run_dir"
+            "another run_dir, or begin that run anew with its own settings and resume=auto"
         )
 
 
