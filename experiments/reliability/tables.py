@@ -42,8 +42,8 @@ def soak_table(folder: Path) -> str:
     """A Markdown table with a row for each segment."""
     rows = read_csv(folder / "soak.csv")
     lines = [
-        "| segment | turns | refused | steps | episodes | memory after a tenth | at the end | open files "
-        "| child processes | not finite | below the ground | diverged | steps per s of processor time |",
+        "| segment | turns | refused | steps | episodes | memory after a tenth, or the first turn "
+        "| at the end | open files | child processes | not finite | below the ground | diverged | steps per s of processor time |",
         "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
     ]
     for number in dict.fromkeys(row["segment"] for row in rows):
