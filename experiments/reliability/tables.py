@@ -43,7 +43,8 @@ def soak_table(folder: Path) -> str:
     rows = read_csv(folder / "soak.csv")
     lines = [
         "| segment | turns | refused | steps | episodes | memory after a tenth, or the first turn "
-        "| at the end | open files | child processes | not finite | below the ground | diverged | steps per s of processor time |",
+        "| at the end | open files | child processes "
+        "| not finite | below the ground | diverged | steps per s of processor time |",
         "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
     ]
     for number in dict.fromkeys(row["segment"] for row in rows):
