@@ -100,8 +100,9 @@ class FixedCamera:
 
 @compile_function
 def _mark_faces(mask: Any, faces: Any, columns: Any, rows: Any, depths: Any) -> bool:
-    """Mark the rectangles about faces (F, 3) in a picture, by the places of vertices; whether one of the
-    faces is all about the eye, so that it has none.
+    """Mark the rectangles about faces (F, 3) in a picture's `mask` (height, width), by the `columns` (V,) and
+    `rows` (V,) [px] and the `depths` (V,) [m] of vertices. Returns whether a face has none: it reaches behind
+    the eye.
     """
     height, width = mask.shape
     for number in range(len(faces)):
