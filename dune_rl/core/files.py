@@ -65,9 +65,14 @@ def write_atomically(path: Path) -> Iterator[Path]:
 
 def check_writable(folder: Path) -> None:
     """Raise ConfigError where a folder, which need not be there, cannot be made or written to."""
-    there = next(each for each in (folder, *folder.parents) if each.exists())
+    there = next(each for each in (folder, *folder.parents) if os.path.lexists(each))
+    if not there.exists():
+        raise ConfigError(
+            f"cannot write {folder}: {there} is a link that leads nowhere; choose another place"
+        )
     if not there.is_dir():
-        raise ConfigError(f"cannot write {folder}: {there} is a file; choose another place")
+        found = "a file of that name is in the way" if there == folder else f"{there} is a file"
+        raise ConfigError(f"cannot write {folder}: {found}; choose another place")
     if not os.access(there, os.W_OK):
         raise ConfigError(f"cannot write {folder}: no permission; choose another place")
 

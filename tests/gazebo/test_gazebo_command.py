@@ -87,7 +87,7 @@ def test_actors_go_on_to_further_goals(folder: Path, call: Call) -> None:
         (("world=flat",), "out is missing; name the folder to write: out=FOLDER"),
         (("world=flat", "out=taken"), "out=taken holds other files (mine.txt); choose another folder"),
         (("world=flat", "out=taken", "overwrite=true"), "out=taken holds other files (mine.txt)"),
-        (("world=flat", "out=taken/mine.txt"), "taken/mine.txt is a file; choose another place"),
+        (("world=flat", "out=taken/mine.txt"), "a file of that name is in the way"),
         (("world=flat", "out=new", "duration_s=0"), "duration_s must be above 0"),
         (("robot=leo_rover", "out=new", "duration_s=9"), "duration_s=9 is of worlds: give world=NAME too"),
         (("world=flat", "out=new", "second=3"), "second is not a setting"),

@@ -181,18 +181,20 @@ def test_the_episode_s_seed_is_not_the_training_s() -> None:
         (["set=flat-v1", "episode=200", "view=map"], "set=flat-v1 has the episodes 0 to 199"),
         (["set=flat-v1", "actors=none"], "set=flat-v1 determines actors; leave actors=none out"),
         (["-m", "seed=1,2"], "this command runs once; leave -m out"),
-        (["out=file"], "cannot write file: file is a file; choose another place"),
+        (["out=file"], "cannot write file: a file of that name is in the way; choose another place"),
         (["out=file/views"], "cannot write file/views: file is a file; choose another place"),
+        (["out=link/views"], "cannot write link/views: link is a link that leads nowhere; choose another place"),
     ],
 )  # fmt: skip
 def test_bad_input_is_refused_in_one_line(
     words: list[str], message: str, call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (folder / "file").write_text("kept")
+    (folder / "link").symlink_to("nowhere")
     world = [] if words[0].startswith("set=") else ["+world=flat"]
     assert call(*world, *words) == 2
     assert capsys.readouterr().err == f"{message}\n"
-    assert [path.name for path in folder.iterdir()] == ["file"]
+    assert sorted(path.name for path in folder.iterdir()) == ["file", "link"]
     assert (folder / "file").read_text() == "kept"
 
 
