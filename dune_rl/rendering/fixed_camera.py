@@ -15,8 +15,8 @@ Pixels = NDArray[np.int64]
 
 _NEAR_M = 0.1
 _OFF_SURFACE_M = 0.01
-# Of the grid in which pixels are sorted by what the sun sees.
-_CELL_M = 0.1
+# Of the grid in which the sun sees bodies: the smallest cells, and the most of them along a side.
+_CELL_M, _CELLS = 0.05, 2048
 
 
 class FixedCamera:
@@ -44,7 +44,7 @@ class FixedCamera:
         if not bodies:
             return picture.reshape(self.height, self.width, 3)
         posed = PosedBodies(bodies)
-        pixels, traced = self._trace_changed(bodies, posed)
+        pixels, traced = self._trace_changed(posed)
         directions = self._directions[pixels]
         colours = self._renderer.colours(self._eye, directions, traced, posed, self._pixel_rad)
         picture[pixels] = to_bytes(colours)
@@ -73,22 +73,27 @@ class FixedCamera:
         lit = ~self._renderer.baked.rays.any_hit(points, np.broadcast_to(self._to_sun, points.shape))
         return pixels[lit], points[lit]
 
-    def _trace_changed(self, bodies: Sequence[PosedMesh], posed: PosedBodies) -> tuple[Pixels, Traced]:
+    def _trace_changed(self, posed: PosedBodies) -> tuple[Pixels, Traced]:
         """Sorted numbers (K,) of the pixels that show a body or its shadow, and what their rays meet."""
         near = self._near(posed)
         hit = posed.rays.hits(self._eye[None], self._directions[near], self._world.range[near])
         met = np.flatnonzero(hit.face >= 0)
         shows = near[met]
+        shaded = self._shaded(posed)
         changed = np.zeros(self.width * self.height, np.bool_)
-        changed[shows] = True
-        maybe, points = self._sunlit.behind(np.array([body.corners for body in bodies]))
-        changed[maybe[posed.rays.any_hit(points, np.broadcast_to(self._to_sun, points.shape))]] = True
+        changed[shows], changed[shaded] = True, True
         pixels = np.flatnonzero(changed)
         traced = self._world.select(pixels)
+        traced.in_shade[np.searchsorted(pixels, shaded)] = True
         at = np.searchsorted(pixels, shows)
         traced.face[at], traced.range[at], traced.normal[at] = hit.face[met], hit.range[met], hit.normal[met]
-        traced.is_body[at] = True
+        traced.is_body[at], traced.in_shade[at] = True, False
         return pixels, traced
+
+    def _shaded(self, posed: PosedBodies) -> Pixels:
+        """Numbers of the pixels that show a part of the world from which bodies hide the sun."""
+        pixels, points = self._sunlit.behind(posed)
+        return pixels[posed.rays.any_hit(points, np.broadcast_to(self._to_sun, points.shape))]
 
     def _near(self, posed: PosedBodies) -> Pixels:
         """Numbers of the pixels in the rectangles about the faces of bodies, with a margin."""
@@ -111,10 +116,10 @@ def _mark_faces(mask: Any, faces: Any, columns: Any, rows: Any, depths: Any) -> 
             continue
         if min(depths[a], depths[b], depths[c]) <= _NEAR_M:
             return True
-        left = max(0, int(min(columns[a], columns[b], columns[c])) - 1)
-        right = min(width, int(max(columns[a], columns[b], columns[c])) + 2)
-        top = max(0, int(min(rows[a], rows[b], rows[c])) - 1)
-        bottom = min(height, int(max(rows[a], rows[b], rows[c])) + 2)
+        left = max(0, int(min(columns[a], columns[b], columns[c])))
+        right = min(width, int(max(columns[a], columns[b], columns[c])) + 1)
+        top = max(0, int(min(rows[a], rows[b], rows[c])))
+        bottom = min(height, int(max(rows[a], rows[b], rows[c])) + 1)
         for row in range(top, bottom):
             for column in range(left, right):
                 mask[row, column] = True
@@ -128,27 +133,23 @@ class _SunlitPixels:
         across = np.cross(to_sun, [0.0, 1.0, 0.0] if abs(to_sun[1]) < 0.9 else [1.0, 0.0, 0.0])
         across /= np.linalg.norm(across)
         self._axes = np.column_stack([across, np.cross(to_sun, across)])
-        cells = self._cells(points)
-        self._first = cells.min(axis=0) if len(cells) else np.zeros(2, np.int64)
-        self._columns = int((cells[:, 1] - self._first[1]).max(initial=0)) + 1
-        keys = (cells - self._first) @ [self._columns, 1]
-        order = np.argsort(keys, kind="stable")
-        self._keys, self._pixels, self._points = keys[order], pixels[order], points[order]
+        seen = points @ self._axes
+        self._low = seen.min(axis=0) if len(seen) else np.zeros(2)
+        self._cell_m = max(_CELL_M, float((seen - self._low).max(initial=0.0)) / _CELLS)
+        column, row = self._cells(points).astype(np.int64).T
+        self._shape = int(row.max(initial=0)) + 1, int(column.max(initial=0)) + 1
+        cell = row * self._shape[1] + column
+        order = np.argsort(cell, kind="stable")
+        self._cell, self._pixels, self._points = cell[order], pixels[order], points[order]
 
-    def behind(self, corners: Array) -> tuple[Pixels, Floats]:
-        """Pixels (N,) and their points (N, 3) that boxes of `corners` (B, 8, 3) may hide from the sun."""
-        cells = self._cells(corners.reshape(-1, 3)).reshape(-1, 8, 2) - self._first
-        low, high = cells.min(axis=1), cells.max(axis=1)
-        counts = high[:, 0] - low[:, 0] + 1
-        box = np.repeat(np.arange(len(counts)), counts)
-        row = low[box, 0] + np.arange(len(box)) - np.repeat(np.cumsum(counts) - counts, counts)
-        begin = row * self._columns + np.clip(low[box, 1], 0, self._columns)
-        end = row * self._columns + np.clip(high[box, 1] + 1, 0, self._columns)
-        chosen = np.zeros(len(self._keys), np.bool_)
-        for first, last in zip(*np.searchsorted(self._keys, [begin, end]).tolist(), strict=True):
-            chosen[first:last] = True
+    def behind(self, bodies: PosedBodies) -> tuple[Pixels, Floats]:
+        """Pixels (N,) and their points (N, 3) from which `bodies` may hide the sun."""
+        mask, (columns, rows) = np.zeros(self._shape, np.bool_), self._cells(bodies.vertices).T
+        _mark_faces(mask, bodies.faces, columns, rows, np.full(len(columns), np.inf))
+        chosen = np.flatnonzero(mask.reshape(-1)[self._cell])
         return self._pixels[chosen], self._points[chosen]
 
-    def _cells(self, points: NDArray[np.floating]) -> Pixels:
-        cells: Pixels = np.floor(points @ self._axes / _CELL_M).astype(np.int64)
+    def _cells(self, points: NDArray[np.floating]) -> Array:
+        """Columns and rows (N, 2), as fractions, in which the sun sees `points` (N, 3)."""
+        cells: Array = (points @ self._axes - self._low) / self._cell_m
         return cells

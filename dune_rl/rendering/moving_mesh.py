@@ -2,8 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,13 +15,11 @@ from dune_rl.rendering.scenery import ColouredMesh, Segment
 
 
 class RayMesh:
-    """A `ColouredMesh` with its ray scene and the corners (8, 3) of its box, in its own frame."""
+    """A `ColouredMesh` with its ray scene."""
 
     def __init__(self, shape: ColouredMesh) -> None:
         self.shape = shape
         self.rays = RayScene(shape.vertices, shape.faces)
-        bounds = shape.vertices.min(axis=0), shape.vertices.max(axis=0)
-        self.corners = np.array(list(product(*zip(*bounds, strict=True))))
 
 
 class MovingMesh(PosedScenes):
@@ -69,11 +65,6 @@ class PosedMesh:
     def shape(self) -> ColouredMesh:
         """The coloured mesh, in its own frame."""
         return self.solid.shape
-
-    @cached_property
-    def corners(self) -> Array:
-        """Corners (8, 3) of the box about the mesh, world frame."""
-        return self.position + self.solid.corners @ self.rotation.T
 
 
 class PosedBodies:

@@ -79,17 +79,19 @@ class Viewpoint:
 
 class Traced(NamedTuple):
     """What N rays meet: faces, -1 for the sky; ranges [m]; normals (N, 3), not normalised, of the surfaces;
-    and whether these are those of bodies, whose faces have numbers of their own.
+    whether these are those of bodies, whose faces have numbers of their own; and whether the sun is known not
+    to reach them.
     """
 
     face: NDArray[np.int32]
     range: Floats
     normal: Floats
     is_body: NDArray[np.bool_]
+    in_shade: NDArray[np.bool_]
 
     def select(self, rays: NDArray[np.int64]) -> "Traced":
         """What some of the rays meet, by their numbers."""
-        return Traced(self.face[rays], self.range[rays], self.normal[rays], self.is_body[rays])
+        return Traced(*(values[rays] for values in self))
 
 
 class Renderer:
@@ -182,7 +184,7 @@ class Renderer:
             hit = bodies.rays.hits(eye[None], directions, ranges)
             is_body = hit.face >= 0
             face[is_body], normal[is_body] = hit.face[is_body], hit.normal[is_body]
-        return Traced(face, ranges, normal, is_body)
+        return Traced(face, ranges, normal, is_body, np.zeros(len(directions), np.bool_))
 
     def colours(
         self,
@@ -218,7 +220,8 @@ class Renderer:
         albedo, normals, sky_share, gloss = self._surfaces(points, traced, bodies, pixel_rad)
         towards_eye = np.einsum("ij,ij->i", normals, directions) > 0.0
         normals[towards_eye] *= -1.0
-        lit = self._light.shade(albedo, normals, self._sunlit(points, normals, bodies), sky_share)
+        sunlit = self._sunlit(points, normals, bodies, traced.in_shade)
+        lit = self._light.shade(albedo, normals, sunlit, sky_share)
         if gloss.any():
             lit = self._add_reflections(lit, gloss, normals, directions)
         return self._fade(lit, traced.range)
@@ -254,7 +257,7 @@ class Renderer:
         self, points: Floats, traced: Traced, bodies: PosedBodies | None, pixel_rad: float
     ) -> tuple[Floats, Floats, Floats, Floats]:
         """Albedo (N, 3), unit normals (N, 3), sky share (N,) and gloss (N,) of the surfaces at `points`."""
-        baked, (face, ranges, normal, is_body) = self.baked, traced
+        baked, (face, ranges, normal, is_body, _) = self.baked, traced
         albedo = np.empty_like(points)
         normals = normal / np.maximum(np.sqrt(np.einsum("ij,ij->i", normal, normal)), 1e-12)[:, None]
         share, gloss = np.ones(len(points), np.float32), np.zeros(len(points), np.float32)
@@ -280,10 +283,17 @@ class Renderer:
             albedo[posed] = bodies.albedo[face[posed]]
         return albedo, normals, share, gloss
 
-    def _sunlit(self, points: Floats, normals: Floats, bodies: PosedBodies | None) -> Floats:
-        """1 where the sun reaches `points` (N, 3), else 0."""
+    def _sunlit(
+        self,
+        points: Floats,
+        normals: Floats,
+        bodies: PosedBodies | None,
+        in_shade: NDArray[np.bool_] | None = None,
+    ) -> Floats:
+        """1 where the sun reaches `points` (N, 3), else 0; none of those `in_shade` (N,) is asked for."""
         to_sun = self._light.to_sun
-        facing = np.flatnonzero(normals @ to_sun > 0.0)
+        faces_sun = normals @ to_sun > 0.0
+        facing = np.flatnonzero(faces_sun if in_shade is None else faces_sun & ~in_shade)
         sunlit = np.zeros(len(points), np.float32)
         if not self._light.shadows:
             sunlit[facing] = 1.0

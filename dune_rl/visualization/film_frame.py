@@ -20,8 +20,9 @@ _TEXT, _RETURN, _GOAL, _AGENT = (240, 243, 246), (255, 196, 61), (64, 214, 122),
 
 @lru_cache(maxsize=8)
 def _font(size: int) -> ImageFont.FreeTypeFont:
-    # The font in matplotlib's package, so that every machine draws the same text.
-    return ImageFont.truetype(f"{matplotlib.get_data_path()}/fonts/ttf/DejaVuSans.ttf", size)
+    # The font in matplotlib's package, and Pillow's own layout, so that every machine draws the same text.
+    file = f"{matplotlib.get_data_path()}/fonts/ttf/DejaVuSans.ttf"
+    return ImageFont.truetype(file, size, layout_engine=ImageFont.Layout.BASIC)
 
 
 class FilmFrame:
