@@ -123,8 +123,9 @@ def draw_actors() -> Image.Image:
     bodies = [posed(*one) for one in ACTORS]
     picture = Image.fromarray(meadow().render(view, width, height, bodies, SAMPLES))
     for (name, *_), body in zip(ACTORS, bodies, strict=True):
-        columns, rows, _ = view.project(body.corners, width, height)
-        write(picture, name, (float(columns.mean()), float(rows.min()) - 8), "ms")
+        columns, rows, _ = view.project(PosedBodies([body]).vertices, width, height)
+        middle = float(columns.min() + columns.max()) / 2
+        write(picture, name, (middle, float(rows.min()) - 8), "ms")
     return picture
 
 

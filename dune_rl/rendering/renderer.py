@@ -91,7 +91,8 @@ class Traced(NamedTuple):
 
     def select(self, rays: NDArray[np.int64]) -> "Traced":
         """What some of the rays meet, by their numbers."""
-        return Traced(*(values[rays] for values in self))
+        face, ranges, normal, is_body, in_shade = self
+        return Traced(face[rays], ranges[rays], normal[rays], is_body[rays], in_shade[rays])
 
 
 class Renderer:
