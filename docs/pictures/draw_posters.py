@@ -16,6 +16,7 @@ from PIL import Image, ImageDraw, ImageFont
 from dune_rl.config.commands import ViewConf
 from dune_rl.config.compose import compose
 from dune_rl.env.pictures import Pictures
+from dune_rl.rendering.moving_mesh import PosedBodies
 from dune_rl.rendering.renderer import Viewpoint
 from dune_rl.reporting.views.episode import EpisodeView
 

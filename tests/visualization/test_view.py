@@ -183,7 +183,7 @@ def test_the_episode_s_seed_is_not_the_training_s() -> None:
         (["-m", "seed=1,2"], "this command runs once; leave -m out"),
         (["out=file"], "cannot write file: a file of that name is in the way; choose another place"),
         (["out=file/views"], "cannot write file/views: file is a file; choose another place"),
-        (["out=link/views"], "cannot write link/views: link is a link that leads nowhere; choose another place"),
+        (["out=link/a"], "cannot write link/a: link is a link that leads nowhere; choose another place"),
     ],
 )  # fmt: skip
 def test_bad_input_is_refused_in_one_line(
