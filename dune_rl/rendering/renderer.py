@@ -46,12 +46,12 @@ class Viewpoint:
 
     def directions(self, width: int, height: int, samples: int = 1) -> Floats:
         """Unit vectors (height * samples, width * samples, 3), world frame, through the pixels' samples."""
-        ahead, right, up = self._axes
+        right, down, ahead = self.axes.T
         columns, rows = width * samples, height * samples
         half = np.tan(self.fov_rad / 2)
         x = (np.arange(columns) + 0.5 - columns / 2) / (columns / 2) * half
         y = (np.arange(rows) + 0.5 - rows / 2) / (columns / 2) * half
-        along_rows = (ahead - y[:, None] * up).astype(np.float32)
+        along_rows = (ahead + y[:, None] * down).astype(np.float32)
         rays = along_rows[:, None] + (x[:, None] * right).astype(np.float32)
         rays /= np.sqrt(np.einsum("ijk,ijk->ij", rays, rays))[..., None]
         return rays
@@ -61,20 +61,27 @@ class Viewpoint:
 
         Points behind the eye have depths below 0.
         """
-        ahead, right, up = self._axes
-        offset = np.asarray(points) - self.eye
-        depth = offset @ ahead
-        scale = width / (2.0 * np.tan(self.fov_rad / 2) * np.where(depth > 0.0, depth, np.nan))
-        return width / 2 + offset @ right * scale, height / 2 - offset @ up * scale, depth
+        right, down, depth = self.place(points).T
+        scale = self.focal_px(width) / np.where(depth > 0.0, depth, np.nan)
+        return width / 2 + right * scale, height / 2 + down * scale, depth
+
+    def place(self, points: Array) -> Array:
+        """Points (N, 3) [m] of the world in the frame of the camera: to the right, down and ahead."""
+        placed: Array = (np.asarray(points) - self.eye) @ self.axes
+        return placed
+
+    def focal_px(self, width: int) -> float:
+        """Focal length in pixels of a picture of that width."""
+        return float(width / (2.0 * np.tan(self.fov_rad / 2)))
 
     @cached_property
-    def _axes(self) -> tuple[Array, Array, Array]:
-        """Unit vectors ahead, to the right and up in the picture, world frame."""
+    def axes(self) -> Array:
+        """Unit vectors to the right, down and ahead in the picture, world frame, in columns (3, 3)."""
         ahead = np.subtract(self.target, self.eye)
         ahead = ahead / np.linalg.norm(ahead)
         right = np.cross(ahead, [0.0, 0.0, 1.0])
         right = right / np.linalg.norm(right) if np.linalg.norm(right) > 1e-9 else np.array([0.0, -1.0, 0.0])
-        return ahead, right, np.cross(right, ahead)
+        return np.column_stack([right, np.cross(ahead, right), ahead])
 
 
 class Traced(NamedTuple):

@@ -7,9 +7,11 @@ from hypothesis import strategies as st
 from plain_worlds import SIZE, box, plain
 
 from dune_rl.geometry.frames import rotation_matrices
+from dune_rl.geometry.rays import RayScene
 from dune_rl.rendering.fixed_camera import FixedCamera
 from dune_rl.rendering.light import LightConf, srgb_to_linear
 from dune_rl.rendering.moving_mesh import PosedBodies, PosedMesh, RayMesh
+from dune_rl.rendering.rasteriser import rasterise
 from dune_rl.rendering.renderer import Renderer, Viewpoint
 from dune_rl.rendering.scenery import ColouredMesh, Segment
 from dune_rl.rendering.shading import interpolate_in_faces
@@ -246,6 +248,31 @@ def test_a_fixed_camera_sees_what_a_renderer_sees(view, samples, shadows):
         assert differs.mean() < (0.01 if samples == 1 else 0.05)
         assert np.abs(seen - expected).mean() < 1.5
     np.testing.assert_array_equal(camera.render([]), one.render(view, *SIZE, samples=samples))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_faces_are_seen_where_rays_meet_them(seed):
+    """Also those that reach behind the camera."""
+    draws = np.random.default_rng(seed)
+    middles, corners = draws.uniform(-1.5, 1.5, (40, 1, 3)), draws.uniform(-1.5, 1.5, (40, 3, 3))
+    vertices = (ASLANT.eye + middles + corners).reshape(-1, 3)
+    faces = np.arange(120, dtype=np.int32).reshape(40, 3)
+    directions = ASLANT.directions(*SIZE).reshape(-1, 3)
+    ranges = np.full(len(directions), np.inf, np.float32)
+    hit = RayScene(vertices, faces).hits(np.asarray([ASLANT.eye], np.float32), directions, ranges)
+    depths, seen = np.full(SIZE[::-1], np.inf, np.float32), np.full(SIZE[::-1], -1, np.int32)
+    normals = np.zeros((40, 3), np.float32)
+    rasterise(ASLANT.place(vertices), faces, ASLANT.focal_px(SIZE[0]), depths, seen, normals)
+    same = seen.ravel() == hit.face
+    # A pixel at an edge may be either.
+    assert same.mean() > 0.998 and len(np.unique(seen)) > 2
+    behind = (vertices - ASLANT.eye) @ ASLANT.axes[:, 2] < 0.0
+    shown = faces[np.unique(seen[seen >= 0])]
+    assert behind[shown].any()
+    met = same & (hit.face >= 0)
+    depth = hit.range[met] * (directions[met] @ ASLANT.axes[:, 2])
+    np.testing.assert_allclose(depths.ravel()[met], depth, rtol=1e-4)
+    np.testing.assert_allclose(normals[hit.face[met]] @ ASLANT.axes.T, hit.normal[met], atol=1e-4)
 
 
 def test_points_are_projected_where_they_are_seen():
