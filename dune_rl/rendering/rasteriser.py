@@ -6,7 +6,7 @@ import numpy as np
 
 from dune_rl.geometry.compiled import compile_function
 
-_NEAR_M = 0.1
+_NEAR_M = 0.001
 
 
 @compile_function
