@@ -131,12 +131,14 @@ def run_command(page: HelpPage, body: Callable[[Sequence[str]], None]) -> NoRetu
     except Terminated:
         sys.exit(128 + signal.SIGTERM)
     except Exception:
-        if not _lost_signals:
+        # Another thread may clear them.
+        lost = [*_lost_signals]
+        if not lost:
             raise
         # The library whose callback lost the signal failed for want of what that was to do.
-        if _lost_signals[0] == signal.SIGINT:
+        if lost[0] == signal.SIGINT:
             print_error("Interrupted")
-        sys.exit(128 + _lost_signals[0])
+        sys.exit(128 + lost[0])
     sys.exit(0)
 
 
@@ -215,8 +217,8 @@ def python_here() -> str:
 
 
 def shell_command(module: str, *words: str) -> str:
-    """A command as a user types it: `python -m MODULE`, with words in quotes where a shell needs them."""
-    return f"{python_here()} -m {shlex.join([module, *words])}"
+    """A command as a user types it, `python -m MODULE` of this Python, in quotes where a shell needs them."""
+    return shlex.join([python_here(), "-m", module, *words])
 
 
 def shown_path(path: Path) -> str:

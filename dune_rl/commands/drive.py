@@ -13,7 +13,7 @@ from dune_rl.commands import command_line
 from dune_rl.config.checks import validate
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.files import write_csv
-from dune_rl.core.suggestions import split_word
+from dune_rl.core.suggestions import split_word, typed_word
 from dune_rl.ros.dds_types import require_live_topics
 from dune_rl.ros.library import require_rosbags
 from dune_rl.ros.settings import DrivingConf, NetworkConf
@@ -42,9 +42,13 @@ class DriveConf(DrivingConf, NetworkConf):
         if (self.checkpoint is None) == (self.policy is None):
             raise ValueError(f"give one policy, checkpoint=PATH or policy=FILE.onnx: {_HINT}")
         if self.policy is not None and Path(self.policy).suffix != ".onnx":
-            raise ValueError(f"policy={self.policy} must end in .onnx; a run's is checkpoint={self.policy}")
+            raise ValueError(
+                f"policy={self.policy} must end in .onnx; a run's is {typed_word('checkpoint', self.policy)}"
+            )
         if self.checkpoint is not None and Path(self.checkpoint).suffix == ".onnx":
-            raise ValueError(f"checkpoint={self.checkpoint} is an ONNX file: write policy={self.checkpoint}")
+            raise ValueError(
+                f"checkpoint={self.checkpoint} is an ONNX file: write {typed_word('policy', self.checkpoint)}"
+            )
         live = {*DrivingConf.model_fields, *NetworkConf.model_fields}
         for name in self.model_fields_set & (live if self.bag is not None else {*_OF_BAGS}):
             other = "live topics: leave bag out" if self.bag is not None else "bags: give bag=FOLDER"

@@ -12,6 +12,7 @@ from dune_rl.config.compose import override_value
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.files import check_writable
 from dune_rl.core.paths import unused_folder
+from dune_rl.core.suggestions import typed_word
 from dune_rl.learning.checkpoint import interpreting, read_policy_file
 
 if TYPE_CHECKING:
@@ -95,7 +96,9 @@ def _saved_settings(overrides: Sequence[str]) -> Mapping[str, Any] | None:
     checkpoints = given if isinstance(given, list) else [] if given is None else [given]
     for each in checkpoints:
         if str(each).endswith(_OTHER_LIBRARIES):
-            raise ConfigError(f"checkpoint={each} is a file of another library; write policy={each}")
+            raise ConfigError(
+                f"checkpoint={each} is a file of another library; write {typed_word('policy', each)}"
+            )
     if not checkpoints:
         return None
     file, content = read_policy_file(Path(str(checkpoints[0])))

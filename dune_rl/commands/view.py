@@ -36,7 +36,8 @@ def run(words: Sequence[str]) -> None:
     if parsed.cfg:
         command_line.print_settings(conf)
         return
-    check_writable(Path(conf.out))
+    if conf.view != "live":
+        check_writable(Path(conf.out))
     plan = None
     if episode_set is not None:
         conf = settings_of_episode(conf, episode_set, conf.episode)

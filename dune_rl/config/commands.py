@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self, get_args
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
 from dune_rl.config.schema import EnvConf, Seed
-from dune_rl.core.suggestions import closest
+from dune_rl.core.suggestions import closest, typed_word
 from dune_rl.env.randomisation import RandomisationConf
 from dune_rl.ros.settings import LiveConf, NetworkConf
 
@@ -225,7 +225,9 @@ class EvaluateConf(EnvConf):
                         "(docs/how_to/evaluate.md has one for Stable-Baselines3)"
                     )
                 if "/" in name or name.endswith(".pt"):
-                    raise ValueError(f"{key}: {name} is no policy; did you mean checkpoint={name}?")
+                    raise ValueError(
+                        f"{key}: {name} is no policy; did you mean {typed_word('checkpoint', name)}?"
+                    )
                 near = closest(name, BUILT_IN_POLICIES)
                 meant = f"did you mean {near}? There are" if near else "there are"
                 known = ", ".join((*BUILT_IN_POLICIES, "FILE.onnx", "MODULE:FUNCTION"))

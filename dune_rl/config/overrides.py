@@ -16,7 +16,7 @@ from hydra.errors import HydraException
 
 from dune_rl.core.errors import DuneError
 from dune_rl.core.registry import Registry
-from dune_rl.core.suggestions import closest, one_of
+from dune_rl.core.suggestions import closest, one_of, typed_word
 from dune_rl.core.untrusted_files import printable
 from dune_rl.learning.registry import ALGORITHMS
 from dune_rl.physics.interface import ENGINES
@@ -250,7 +250,9 @@ def _option_faults(override: Override, loader: ConfigLoader) -> list[str]:
 def _describe_unreadable(text: str) -> str:
     if "=" not in text:
         is_path = len(text) <= _MOST_REPEATED and Path(text).exists()
-        where = f"; a file or folder goes behind a key, such as resume={text}" if is_path else ""
+        where = (
+            f"; a file or folder goes behind a key, such as {typed_word('resume', text)}" if is_path else ""
+        )
         return f"cannot read {printable(text, _MOST_REPEATED)!r}; write key=value{where}"
     key = printable(text.partition("=")[0], _MOST_REPEATED)
     return (

@@ -73,7 +73,7 @@ def check_writable(folder: Path) -> None:
     if not there.is_dir():
         found = "a file of that name is in the way" if there == folder else f"{there} is a file"
         raise ConfigError(f"cannot write {folder}: {found}; choose another place")
-    if not os.access(there, os.W_OK):
+    if not os.access(there, os.W_OK | os.X_OK):
         raise ConfigError(f"cannot write {folder}: no permission; choose another place")
 
 

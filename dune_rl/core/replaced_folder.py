@@ -25,8 +25,9 @@ def check_replaceable(
     That is what `find_others` finds in it and, unless `overwrite`, also what a command of the `kind`, such as
     "a report", wrote there. What a killed process had begun to replace is whole again before.
     """
-    _finish_replacing(out)
     check_writable(out)
+    check_writable(_folder_beside(out).parent)
+    _finish_replacing(out)
     if not out.exists():
         return
     others = sorted(each for each in find_others(out) if each.name != _INSIDE)
@@ -41,8 +42,9 @@ def replace_folder(out: Path, check: Callable[[], None], last: str) -> Iterator[
     """An empty folder beside `out`, whose entries take the place of those in `out` when the block ends.
 
     Where the block fails, `out` stays as it was. The entry `last` comes last and goes first: without it, a
-    folder is not whole. What a process that was killed left beside `out` is removed. `check` raises
-    ConfigError if `out` holds something that must stay; so does this while another process writes to it.
+    folder is not whole. What a process that was killed left beside `out` is removed, where the system has
+    locks. `check` raises ConfigError if `out` holds something that must stay; so does this while another
+    process writes to it.
     """
     place = out.resolve()
     with removing_empty(place.parent), _locked_folder_beside(out) as aside:
@@ -98,13 +100,16 @@ def _restore(aside: Path, place: Path) -> None:
         if (aside / _REPLACED).exists() and (aside / _NEW).exists():
             _move_entries(aside / _NEW, place)
     for left_over in (_NEW, _LEAVING, _REPLACED):
-        _remove(aside / left_over)
+        try:
+            _remove(aside / left_over)
+        except OSError as error:
+            raise ConfigError(
+                f"{aside / left_over} of an earlier command cannot be removed ({error.strerror}); remove it"
+            ) from None
 
 
 def _lock(aside: Path, out: Path) -> FolderLock:
-    taken = ConfigError(
-        f"another process is writing to {out}; choose another out=FOLDER, or wait until it ends"
-    )
+    taken = ConfigError(f"another process is writing to {out}; choose another folder, or wait until it ends")
     while True:
         with errors_naming(out):
             aside.mkdir(parents=True, exist_ok=True)
@@ -143,7 +148,9 @@ def _put_in_place(aside: Path, place: Path, last: str) -> None:
         _move_entries(leaving, place)
         leaving.rmdir()
         raise
-    _remove(replaced)
+    # The new is in its place; what cannot be removed of the old is told by the next command.
+    with contextlib.suppress(OSError):
+        _remove(replaced)
 
 
 def _move_entries(source: Path, target: Path) -> None:

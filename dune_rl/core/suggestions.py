@@ -5,8 +5,8 @@ import re
 import shlex
 from collections.abc import Iterable
 
-# Texts that Hydra's grammar takes as they are.
-_PLAIN = re.compile(r"[A-Za-z0-9_./-]+")
+# Texts that Hydra takes as they are: no numbers, no words of its grammar.
+_PLAIN = re.compile(r"(?!(?i:null|true|false|nan|inf)$)(\.{0,2}/)?[A-Za-z_][A-Za-z0-9_./-]*")
 
 
 def closest(word: str, known: Iterable[str], likeness: float = 0.6) -> str | None:
@@ -48,7 +48,8 @@ def typed_word(key: str, text: object) -> str:
 
 
 def split_word(word: str) -> tuple[str, str, str]:
-    """Key, "=" and text of a word that Hydra does not read; quotes about the text are removed."""
+    """Key, "=" and text of a word that Hydra does not read; the quotes of `quote_text` are removed."""
     key, equals, text = word.partition("=")
-    is_quoted = len(text) > 1 and text[0] == text[-1] and text[0] in "\"'"
-    return key, equals, text[1:-1] if is_quoted else text
+    if len(text) > 1 and text[0] == text[-1] and text[0] in "\"'":
+        text = re.sub(r'(\\+)("|$)', lambda found: found[1][: len(found[1]) // 2] + found[2], text[1:-1])
+    return key, equals, text

@@ -37,7 +37,8 @@ class FixedCamera:
 
     def render(self, bodies: Sequence[PosedMesh]) -> NDArray[np.uint8]:
         """SRGB bytes (height, width, 3) with `bodies` in the world: as `Renderer.render`, but that the edges
-        of shadows are not smoothed.
+        of shadows are not smoothed, and that grass is in the shade of a body only where the ground behind it
+        is, too.
         """
         picture = self._still.copy()
         if not bodies:
@@ -48,7 +49,8 @@ class FixedCamera:
         colours = self._renderer.colours(self._eye, directions, traced, posed, self._pixel_rad)
         picture[pixels] = to_bytes(colours)
         if self._samples > 1 and len(pixels):
-            first, end = int(pixels[0]) // self.width, int(pixels[-1]) // self.width + 1
+            first = max(0, int(pixels[0]) // self.width - 1)
+            end = min(self.height, int(pixels[-1]) // self.width + 2)
             seen = np.zeros((end - first, self.width), np.bool_)
             seen.reshape(-1)[pixels - first * self.width] = traced.is_body
             edge = (

@@ -2,12 +2,12 @@
 
 import contextlib
 import json
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 from dune_rl.core.errors import ConfigError
+from dune_rl.core.files import check_writable
 from dune_rl.core.paths import file_stem
 from dune_rl.core.replaced_folder import replace_folder
 from dune_rl.ros.library import MessageTypes, latched_qos, message_types, require_rosbags
@@ -45,9 +45,7 @@ def check_bags(
         raise ConfigError(
             f"bag={folder} has a file open for each scene; set scenes={MOST_SCENES} or fewer (got {scenes})"
         )
-    parent = next(each for each in (folder, *folder.absolute().parents) if each.exists())
-    if not parent.is_dir() or not os.access(parent, os.W_OK):
-        raise ConfigError(f"bag={folder} cannot be written; choose another folder")
+    check_writable(folder)
     if overwrite:
         return
     numbers = list(episodes)

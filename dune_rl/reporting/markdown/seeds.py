@@ -17,7 +17,7 @@ def mean_of_seeds(seeds: Sequence[EvaluatedPolicy], where: str) -> EvaluatedPoli
     try:
         return average_methods(seeds)
     except ValueError as error:
-        raise ConfigError(f"the seeds of {where}: {error}") from None
+        raise ConfigError(f"the seeds of {where}: {error}; intervals: false leaves their mean out") from None
 
 
 class SeedCells:

@@ -52,7 +52,8 @@ def make_table(conf: TableConf, sources: BlockSources) -> str:
 
 
 def _cells(title: str, methods: Sequence[EvaluatedPolicy], conf: TableConf) -> Iterator[str]:
-    cells = SeedCells(methods, mean_of_seeds(methods, title) if conf.intervals else None)
+    has_means = conf.intervals and not {"episodes", "frames"}.issuperset(conf.measures)
+    cells = SeedCells(methods, mean_of_seeds(methods, title) if has_means else None)
     for name in conf.measures:
         if name == "episodes":
             yield ", ".join(f"{method.episodes}" for method in methods)
