@@ -50,6 +50,8 @@ def typed_word(key: str, text: object) -> str:
 def split_word(word: str) -> tuple[str, str, str]:
     """Key, "=" and text of a word that Hydra does not read; the quotes of `quote_text` are removed."""
     key, equals, text = word.partition("=")
-    if len(text) > 1 and text[0] == text[-1] and text[0] in "\"'":
+    if len(text) > 1 and text[0] == text[-1] == '"':
         text = re.sub(r'(\\+)("|$)', lambda found: found[1][: len(found[1]) // 2] + found[2], text[1:-1])
+    elif len(text) > 1 and text[0] == text[-1] == "'":
+        text = text[1:-1]
     return key, equals, text

@@ -274,7 +274,10 @@ def test_a_broken_file_of_the_user_is_named(tmp_path: Path) -> None:
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("text", ["a/b-1.sdf", "my yärd/w.sdf", "a,b=[c]", "it's", 'a"b', "a\\", 'a\\"b\\'])
+HARD = ['a"b', "a\\", 'a\\"b\\', "2024_01", "1e3", "Null", "-1.5", "true", "../a", "/b/1", "1/2", "~/a"]
+
+
+@pytest.mark.parametrize("text", ["a/b-1.sdf", "my yärd/w.sdf", "a,b=[c]", "it's", *HARD])
 def test_a_text_is_quoted_as_hydra_reads_it(text: str) -> None:
     assert override_value([text_word("world.path", text)], "world.path") == text
     assert override_value(shlex.split(typed_word("world.path", text)), "world.path") == text
@@ -284,4 +287,6 @@ def test_a_text_is_quoted_as_hydra_reads_it(text: str) -> None:
 def test_a_text_in_quotes_is_read_without_hydra(text: str) -> None:
     for word in (f"out={text}", text_word("out", text), f"out='{text}'"):
         assert split_word(word) == ("out", "=", text)
+    for hard in HARD:
+        assert split_word(text_word("out", hard)) == ("out", "=", hard)
     assert split_word("run") == ("run", "", "") and split_word('a="') == ("a", "=", '"')

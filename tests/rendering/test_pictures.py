@@ -250,6 +250,15 @@ def test_a_fixed_camera_sees_what_a_renderer_sees(view, samples, shadows):
     np.testing.assert_array_equal(camera.render([]), one.render(view, *SIZE, samples=samples))
 
 
+def test_the_upper_and_lower_edges_of_a_body_are_smoothed():
+    view, one = Viewpoint((0.0, -6.0, 3.0), (0.0, 0.0, 3.0), 0.9), painter(shadows=False)
+    camera = FixedCamera(one, view, *SIZE, samples=4)
+    for height in (3.02, 3.035, 3.053):
+        bodies = [body(0.0, 0.0, height, colour=(0.02, 0.02, 0.02))]
+        differs = camera.render(bodies).astype(int) - one.render(view, *SIZE, bodies, 4)
+        assert np.abs(differs).max() < 10
+
+
 @pytest.mark.parametrize("seed", range(1, 5))
 def test_faces_are_seen_where_rays_meet_them(seed):
     """Also those that reach behind the camera."""
