@@ -1,5 +1,6 @@
 """A report's folder: whole or not there, by one process at a time."""
 
+import shutil
 import signal
 import subprocess
 import sys
@@ -79,6 +80,30 @@ def test_the_old_report_comes_back_if_the_new_one_cannot_be_put_in_place(
     with pytest.raises(OSError, match="full"), replace_report(tmp_path / "r", overwrite=True) as aside:
         write_files(aside, "b")
     assert files(tmp_path) == before and (tmp_path / "r" / "index.html").read_text() == "a"
+
+
+def test_what_cannot_be_removed_of_the_old_is_named_by_the_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with replace_report(tmp_path / "r", overwrite=False) as aside:
+        write_files(aside, "a")
+
+    def refuse(path: Path) -> None:
+        raise PermissionError(13, "Permission denied", "a.csv")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(shutil, "rmtree", refuse)
+        with replace_report(tmp_path / "r", overwrite=True) as aside:
+            write_files(aside, "b")
+        assert (tmp_path / "r" / "index.html").read_text() == "b"
+        with (
+            pytest.raises(ConfigError, match=r"r\.part/\w+ of an .* \(Permission denied\); remove it"),
+            replace_report(tmp_path / "r", overwrite=True),
+        ):
+            pass
+    with replace_report(tmp_path / "r", overwrite=True) as aside:
+        write_files(aside, "c")
+    assert files(tmp_path) == ["r", "r/figures", "r/index.html", "r/tables", "r/tables/c.csv"]
 
 
 def test_one_process_at_a_time_writes_to_a_folder(tmp_path: Path) -> None:
