@@ -11,7 +11,7 @@ _COLOURS = {"bullet": "#1f5fa8", "dart": "#d9822b"}
 # Shorter segments are dots beside the curves of longer ones.
 _LEAST_TURNS = 12
 _PANELS = (
-    ("memory after a turn [MiB]", lambda row: float(row["rss_mib"])),
+    ("memory after a turn [MiB]", lambda row: float(row["held_mib"] or row["rss_mib"])),
     ("steps per s of processor time", lambda row: int(row["steps"]) / float(row["cpu_s"])),
 )
 

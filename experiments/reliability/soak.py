@@ -4,8 +4,9 @@
 has so many control steps of all scenes, and goes on with what it has.
 
 A segment is a process of one engine that drives `rounds` rounds; the engines take turns. In a round every
-kind of actors has its turn in a world, with a robot and a driver, which differ from round to round. Each
-episode has a new body and light, and with Bullet a new site.
+kind of actors has its turn in a world, with a robot and a driver, which differ from round to round. The first
+turn is the same in every round of a segment, so that its memory and speed can be compared. Each episode has a
+new body and light, and with Bullet a new site.
 """
 
 import gc
@@ -38,6 +39,7 @@ from dune_rl.learning.checkpoint import read_policy_file
 from dune_rl.learning.policies import built_in_policy
 from dune_rl.learning.saved_policies import load_policy
 from dune_rl.physics.interface import OWN_ENGINES
+from dune_rl.physics.process import return_free_memory
 
 # As many steps of a scene as its longest episode has, so that each has new episodes in every turn.
 _SCENES, _STEPS = 64, 1_000
@@ -46,6 +48,7 @@ _POLICY = Path(__file__).parents[1] / "policies" / "all_worlds_1" / "policy.pt"
 _DRIVERS = ("random", "go_to_goal", "random", "oracle", "random", "mppi", "go_to_goal", "planner")
 # The published policy is of this robot.
 _POLICY_ROBOT, _POLICY_DRIVERS = "rover_zero", ("policy", "policy", "random", "oracle", "policy", "mppi")
+_REPEATED, _REPEATED_DRIVER = ("inspection", "rover_zero", "pedestrians"), "go_to_goal"
 # Deeper below the terrain than sinkage or a steep ditch can account for.
 _FALLEN_M = 0.5
 
@@ -56,9 +59,9 @@ class Turn:
 
     `steps` are control steps of all scenes, `cpu_s` this process's processor time for them, `made_s` the time
     of the clock until the environment was made and reset. `rss_mib` is measured after it was closed,
-    `open_mib` before. `nan` counts steps with a number that is not finite in an observation, a reward or a
-    motion, `fallen` bodies below the ground, `diverged` bodies whose physics was given up. `fault` is the
-    error that ended a turn.
+    `open_mib` before, `held_mib` after what the process had freed was returned to the system. `nan` counts
+    steps with a number that is not finite in an observation, a reward or a motion, `fallen` bodies below the
+    ground, `diverged` bodies whose physics was given up. `fault` is the error that ended a turn.
     """
 
     segment: int
@@ -83,6 +86,7 @@ class Turn:
     diverged: int = 0
     fault: str = ""
     commit: str = ""
+    held_mib: float = 0.0
 
 
 def main() -> None:
@@ -118,20 +122,25 @@ def _drive_segment(folder: Path, segment: int, rounds: int) -> None:
     for number in range(rounds):
         # Every segment of an engine drives further episodes.
         first = (segment * rounds + number) * 100
+        world, robot, actors = _REPEATED
+        turns = [(Combination(world, robot, engine, actors), _REPEATED_DRIVER, segment)]
         for place, drawn in enumerate(every_option(segment * rounds + number)):
             chosen = Combination(drawn.world, drawn.robot, engine, drawn.actors)
-            driver = _driver_of(chosen, first + place)
+            turns.append((chosen, _driver_of(chosen, first + place), first + place))
+        for chosen, driver, seed in turns:
             turn = Turn(segment, engine, number, chosen.world, chosen.robot, chosen.actors, driver)
             try:
                 try:
-                    _drive(turn, chosen, folder, first + place)
+                    _drive(turn, chosen, folder, seed)
                 except WorldError:
                     turn.world = ROOMY_WORLD
-                    _drive(turn, replace(chosen, world=ROOMY_WORLD), folder, first + place)
+                    _drive(turn, replace(chosen, world=ROOMY_WORLD), folder, seed)
             except DuneError as error:
                 turn.fault = f"{type(error).__name__}: {str(error).splitlines()[0]}"
             gc.collect()
             turn.rss_mib = round(memory_mib(), 1)
+            return_free_memory()
+            turn.held_mib = round(memory_mib(), 1)
             turn.files = len(os.listdir("/proc/self/fd"))
             turn.threads = len(os.listdir("/proc/self/task"))
             turn.processes = len(Path(f"/proc/self/task/{os.getpid()}/children").read_text().split())

@@ -50,7 +50,7 @@ def soak_table(folder: Path) -> str:
     for number in dict.fromkeys(row["segment"] for row in rows):
         own = [row for row in rows if row["segment"] == number]
         total = {name: sum(float(row[name]) for row in own) for name in _SUMS}
-        held = [float(row["rss_mib"]) for row in own]
+        held = [float(row["held_mib"] or row["rss_mib"]) for row in own]
         cells = [f"{number}, {own[0]['engine']}", len(own), sum(bool(row["fault"]) for row in own)]
         cells += [f"{total['steps']:,.0f}", f"{total['episodes']:,.0f}"]
         cells += [f"{held[len(held) // 10]:.0f} MiB", f"{held[-1]:.0f} MiB"]
