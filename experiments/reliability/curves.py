@@ -35,7 +35,7 @@ def main() -> None:
                 linewidth=1.2,
                 markersize=4,
                 alpha=1.0 if is_long else 0.5,
-                label=f"segment {number}, {engine}" if is_long else None,
+                label=engine,
             )
             if is_long:
                 axes.annotate(number, (millions[-1], value(own[-1])), (4, 0), textcoords="offset points")
@@ -44,7 +44,8 @@ def main() -> None:
         axes.set_ylim(bottom=0)
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(axis="y", linewidth=0.4)
-    grid[0].legend(frameon=False, fontsize=8, loc="lower right")
+    lines = dict(zip(*reversed(grid[0].get_legend_handles_labels()), strict=True))
+    figure.legend(lines.values(), lines.keys(), frameon=False, loc="outside lower center", ncols=2)
     with write_atomically(folder / "soak.png") as temporary:
         figure.savefig(temporary, format="png", metadata={"Software": None})
 
