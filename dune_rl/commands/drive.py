@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from dune_rl.commands import command_line
 from dune_rl.config.checks import validate
 from dune_rl.core.errors import ConfigError
-from dune_rl.core.files import write_csv
+from dune_rl.core.files import check_free, write_csv
 from dune_rl.core.suggestions import split_word, typed_word
 from dune_rl.ros.dds_types import require_live_topics
 from dune_rl.ros.library import require_rosbags
@@ -116,8 +116,8 @@ def _drive(conf: DriveConf) -> None:
 def _play(conf: DriveConf, bag: str) -> None:
     require_rosbags()
     out = None if conf.out is None else Path(conf.out)
-    if out is not None and out.exists() and (out.is_dir() or not conf.overwrite):
-        raise ConfigError(f"out={out} exists; choose another file, or overwrite=true")
+    if out is not None:
+        check_free(out, overwrite=conf.overwrite)
     # Only now, since loading PyTorch takes seconds.
     from dune_rl.clients.bag_player import actions_from_bag
 

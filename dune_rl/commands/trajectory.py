@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from dune_rl.commands import command_line
-from dune_rl.core.errors import ConfigError
-from dune_rl.core.files import write_atomically
+from dune_rl.core.files import check_free, write_atomically
 from dune_rl.trajectories.files import write_trajectory
 from dune_rl.trajectories.picture import draw_trajectory
 from dune_rl.trajectories.settings import choose_world, parse_words
@@ -21,7 +20,7 @@ def run(words: Sequence[str]) -> None:
     world_name, world_words, conf = parse_words(parsed.overrides)
     out, picture = Path(conf.out), conf.picture_path
     for path in (out, picture):
-        _check_free(path, overwrite=conf.overwrite)
+        check_free(path, overwrite=conf.overwrite)
     world = choose_world(world_name, world_words, command_line.config_folders(parsed))
     actor = conf.plan(world)
     title = f"{conf.name} in {Path(world_name).name}"
@@ -38,10 +37,3 @@ def run(words: Sequence[str]) -> None:
         f"{out}: {len(actor.times):,} poses, {length_m:.1f} m in {actor.duration_s:.1f} s, "
         f"{'repeated' if actor.loop else 'once'}\n{picture}: the way on the map",
     )
-
-
-def _check_free(path: Path, *, overwrite: bool) -> None:
-    if path.is_dir():
-        raise ConfigError(f"{path} is a folder: name a file")
-    if path.exists() and not overwrite:
-        raise ConfigError(f"{path} exists; choose another name, or overwrite=true")

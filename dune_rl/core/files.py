@@ -77,6 +77,15 @@ def check_writable(folder: Path) -> None:
         raise ConfigError(f"cannot write {folder}: no permission; choose another place")
 
 
+def check_free(file: Path, *, overwrite: bool) -> None:
+    """Raise ConfigError where a file cannot be made, or is there already and may not be replaced."""
+    if file.is_dir():
+        raise ConfigError(f"{file} is a folder: name a file")
+    if file.exists() and not overwrite:
+        raise ConfigError(f"{file} exists; choose another name, or overwrite=true")
+    check_writable(file.parent if file.exists() or not file.is_symlink() else file)
+
+
 @contextmanager
 def removing_empty(folder: Path) -> Iterator[None]:
     """Remove `folder` and its parents at the end, those that were not there before and are empty."""

@@ -154,6 +154,8 @@ def test_an_exported_policy_drives_as_its_checkpoint_does(folder: Path, call: Ca
             (f"checkpoint={FLAT}", "out=taken.onnx"),
             "taken.onnx exists; choose another name",
         ),
+        ((f"checkpoint={FLAT}", "out=link.onnx"), "link.onnx is a link that leads nowhere; choose another"),
+        ((f"checkpoint={FLAT}", "out=taken.onnx/b.onnx"), "a file of that name is in the way"),
         ((f"checkpoint={FLAT}", "policy.onnx"), "cannot read 'policy.onnx'; write key=value"),
         ((f"checkpoint={FLAT}", "out=a.onnx", "episodes=3"), "episodes"),
         ((f"checkpoint={FLAT}", "out=a.onnx", "group=walker"), "no policy of 'walker'; it has rover"),
@@ -166,10 +168,11 @@ def test_faults_are_named_and_nothing_is_written(
     if "a.onnx" in " ".join(words):
         pytest.importorskip("onnxscript")
     (folder / "taken.onnx").write_text("mine")
+    (folder / "link.onnx").symlink_to("nowhere")
     assert call(export.main, *words) == 2
     assert said in capsys.readouterr().err
-    assert [path.name for path in folder.iterdir()] == ["taken.onnx"]
-    assert (folder / "taken.onnx").read_text() == "mine"
+    assert sorted(path.name for path in folder.iterdir()) == ["link.onnx", "taken.onnx"]
+    assert (folder / "taken.onnx").read_text() == "mine" and (folder / "link.onnx").is_symlink()
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from dune_rl.clients.policy_interface import PolicyInterface
 from dune_rl.commands import command_line
 from dune_rl.config.checks import validate
 from dune_rl.core.errors import ConfigError
-from dune_rl.core.files import sha256_of
+from dune_rl.core.files import check_free, sha256_of
 from dune_rl.core.settings import Settings
 from dune_rl.core.suggestions import split_word
 from dune_rl.core.version import VERSION
@@ -53,10 +53,7 @@ def parse_words(words: Sequence[str]) -> PolicyConf:
 def export_policy(conf: PolicyConf) -> None:
     """Write the file that the settings ask for; raises ConfigError where it acts otherwise."""
     out = Path(conf.out)
-    if out.is_dir():
-        raise ConfigError(f"{out} is a folder: name a file")
-    if out.exists() and not conf.overwrite:
-        raise ConfigError(f"{out} exists; choose another name, or overwrite=true")
+    check_free(out, overwrite=conf.overwrite)
     check_exporter()
     file, content = read_policy_file(Path(conf.checkpoint))
     groups = sorted(content["groups"])
