@@ -1,4 +1,4 @@
-"""Triangles seen from one point, and along parallel rays, where these are known beforehand."""
+"""Which pixels show triangles, and which points triangles hide from the sun: compiled, without rays."""
 
 from typing import Any
 
@@ -6,6 +6,7 @@ import numpy as np
 
 from dune_rl.geometry.compiled import compile_function
 
+# What is nearer to the camera's plane is not drawn.
 _NEAR_M = 0.001
 
 
@@ -24,24 +25,15 @@ def rasterise(vertices: Any, faces: Any, focal: float, depths: Any, seen: Any, n
         for k in range(3):
             a, b = faces[number, k], faces[number, (k + 1) % 3]
             x, y, z, step = vertices[a, 0], vertices[a, 1], vertices[a, 2], vertices[b, 2] - vertices[a, 2]
-            if (z > _NEAR_M) != (z + step > _NEAR_M):
-                share = (_NEAR_M - z) / step
-                column = middle_x + focal / _NEAR_M * (x + share * (vertices[b, 0] - x))
-                row = middle_y + focal / _NEAR_M * (y + share * (vertices[b, 1] - y))
-                left, right, top, bottom = (
-                    min(left, column),
-                    max(right, column),
-                    min(top, row),
-                    max(bottom, row),
-                )
-            if z > _NEAR_M:
-                column, row = middle_x + focal / z * x, middle_y + focal / z * y
-                left, right, top, bottom = (
-                    min(left, column),
-                    max(right, column),
-                    min(top, row),
-                    max(bottom, row),
-                )
+            # The corner, and where the edge from it passes the plane.
+            for share in (0.0, (_NEAR_M - z) / step if step != 0.0 else 0.0):
+                if not (0.0 < share < 1.0 or (share == 0.0 and z > _NEAR_M)):
+                    continue
+                per_m = focal / max(z + share * step, _NEAR_M)
+                column = middle_x + per_m * (x + share * (vertices[b, 0] - x))
+                row = middle_y + per_m * (y + share * (vertices[b, 1] - y))
+                left, right = min(left, column), max(right, column)
+                top, bottom = min(top, row), max(bottom, row)
         if right < 0.0 or left >= width or bottom < 0.0 or top >= height or left > right:
             continue
         # After Möller and Trumbore (1997), for rays that begin at the camera.
@@ -71,11 +63,11 @@ def rasterise(vertices: Any, faces: Any, focal: float, depths: Any, seen: Any, n
 
 @compile_function
 def mark_hidden(points: Any, first: Any, width: int, vertices: Any, faces: Any, hidden: Any) -> None:
-    """Mark in `hidden` (K,) those of `points` (K, 3) that lie below one of `faces` (F, 3).
+    """Mark in `hidden` (K,) those of `points` (K, 3) that one of `faces` (F, 3) hides from above.
 
-    Points and `vertices` (V, 3) have a column and a row, as fractions, and a height. Points are sorted by
-    their cell of a grid of `width` columns, row by row; `first` (cells + 1,) has the number of the first
-    point of each cell, and that of points.
+    Points and `vertices` (V, 3) have a column and a row, as fractions, and a height [cells]. Points are
+    sorted by their cell of a grid of `width` columns, row by row; `first` (cells + 1,) has the number of the
+    first point of each cell, and that of points.
     """
     height = (len(first) - 1) // width
     for number in range(len(faces)):
