@@ -12,6 +12,8 @@ from PIL import Image, ImageDraw, ImageFont
 Picture = NDArray[np.uint8]
 Colour = tuple[int, int, int]
 
+# The widest of the usual values beside names.
+_WIDEST = "00.00 m/s"
 # Share of the width that the column takes.
 _COLUMN = 0.3
 _BACKGROUND, _PANEL, _RING = (14, 18, 24), (24, 30, 38), (62, 70, 80)
@@ -46,38 +48,58 @@ class FilmFrame:
         return right - left, bottom - top
 
     def compose(
-        self, picture: Picture, panels: Mapping[str, Picture], lines: Sequence[str], headline: str = ""
+        self,
+        picture: Picture,
+        panels: Mapping[str, Picture],
+        state: Sequence[tuple[str, str]] = (),
+        headline: str = "",
     ) -> Picture:
-        """The frame (height, width, 3): `picture` of `picture_size`, `panels` by title, each of its size, and
-        text upon the picture.
+        """The frame (height, width, 3): `picture` of `picture_size`, `panels` by title, each of its size; upon
+        the picture names and values of a `state`, and a `headline`.
         """
         frame = self._empty.copy()
         frame[:, : self.picture_size[0]] = picture
         for title, (left, top, right, bottom) in self._boxes.items():
             frame[top:bottom, left:right] = panels[title]
-        if lines:
-            _write(frame, (self._large, self._large), lines, self._large)
+        if state:
+            names, values = zip(*state, strict=True)
+            _write(frame, (self._large, self._large), names, self._large, values)
         if headline:
-            middle = self.picture_size[0] // 2, len(frame) // 8
-            _write(frame, middle, [headline], 2 * self._large, 0.5)
+            # As subtitles are: over the ground, where nobody's head is.
+            middle = self.picture_size[0] // 2, len(frame) - 5 * self._large
+            _write(frame, middle, [headline], 2 * self._large, share=0.5)
         return frame
 
 
 def _write(
-    frame: Picture, corner: tuple[int, int], lines: Sequence[str], size: int, share: float = 0.0
+    frame: Picture,
+    corner: tuple[int, int],
+    lines: Sequence[str],
+    size: int,
+    values: Sequence[str] = (),
+    *,
+    share: float = 0.0,
 ) -> None:
-    """Write `lines` on a darkened part of a frame at `corner` (left, top), moved left by a share of it."""
-    text, pad = "\n".join(lines), size // 2
-    left, top, right, bottom = ImageDraw.Draw(Image.new("RGB", (1, 1))).multiline_textbbox(
-        (0, 0), text, font=_font(size)
-    )
-    width, height = int(right - left) + 2 * pad, int(bottom - top) + 2 * pad
+    """Write `lines` on a darkened part of a frame at `corner` (left, top), moved left by a share of its width.
+
+    `values` stand in a column of their own, flush right.
+    """
+    text, pad, font = "\n".join(lines), size // 2, _font(size)
+    ruler = ImageDraw.Draw(Image.new("RGB", (1, 1)))
+    left, top, right, bottom = ruler.multiline_textbbox((0, 0), text, font=font)
+    # So wide that it stays as it is while numbers change.
+    column = max([font.getlength(value) for value in (_WIDEST, *values)]) + size if values else 0.0
+    width, height = int(right - left + column) + 2 * pad, int(bottom - top) + 2 * pad
     x = max(0, corner[0] - round(share * width))
     part = frame[corner[1] : corner[1] + height, x : x + width]
     if not part.size:
         return
     image = Image.fromarray(part // 4 + np.array(_BACKGROUND, np.uint8) // 2)
-    ImageDraw.Draw(image).multiline_text((pad - left, pad - top), text, font=_font(size), fill=_TEXT)
+    draw = ImageDraw.Draw(image)
+    draw.multiline_text((pad - left, pad - top), text, font=font, fill=_TEXT)
+    draw.multiline_text(
+        (width - pad, pad - top), "\n".join(values), font=font, fill=_TEXT, anchor="ra", align="right"
+    )
     part[:] = np.asarray(image)
 
 

@@ -28,26 +28,39 @@ def test_a_frame_holds_the_picture_and_all_panels(size: tuple[int, int], titles:
         title: np.full((*layout.panel_size(title)[::-1], 3), 50 * k + 60, np.uint8)
         for k, title in enumerate(titles)
     }
-    frame = layout.compose(np.full((height, width, 3), 7, np.uint8), panels, [])
+    frame = layout.compose(np.full((height, width, 3), 7, np.uint8), panels)
     assert frame.shape == (size[1], size[0], 3)
     assert (frame[:, :width] == 7).all()
     for title, panel in panels.items():
         assert (frame == panel[0, 0]).all(axis=-1).sum() >= panel[..., 0].size, title
-    again = layout.compose(np.full((height, width, 3), 7, np.uint8), panels, [])
+    again = layout.compose(np.full((height, width, 3), 7, np.uint8), panels)
     np.testing.assert_array_equal(again, frame)
 
 
-def test_text_is_written_at_the_top_of_the_picture_alone() -> None:
+def _written(state: list[tuple[str, str]], headline: str = "") -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns that text changes in a frame of 640 by 360, whose picture is 448 wide."""
     layout = FilmFrame(640, 360, ["map"])
     width, height = layout.picture_size
     picture = np.full((height, width, 3), 200, np.uint8)
     panels = {"map": np.zeros((*layout.panel_size("map")[::-1], 3), np.uint8)}
-    bare = layout.compose(picture, panels, [])
-    rows, columns = np.nonzero((layout.compose(picture, panels, ["speed 1 m/s"]) != bare).any(axis=-1))
-    assert rows.max() < height // 4 and columns.min() < width // 8 and columns.max() < width
-    rows, columns = np.nonzero((layout.compose(picture, panels, [], "stuck") != bare).any(axis=-1))
-    assert abs(columns.mean() - width / 2) < 6 and rows.max() < height // 2
+    changed = layout.compose(picture, panels, state, headline) != layout.compose(picture, panels)
     assert (picture == 200).all()
+    rows, columns = np.nonzero(changed.any(axis=-1))
+    return rows, columns
+
+
+def test_text_is_written_at_the_edges_of_the_picture_alone() -> None:
+    rows, columns = _written([("speed", "1 m/s")])
+    assert rows.max() < 90 and columns.min() < 56 and columns.max() < 448
+    rows, columns = _written([], "stuck")
+    assert abs(columns.mean() - 224) < 6 and rows.min() > 270
+
+
+def test_the_state_stays_in_its_place_while_its_numbers_grow() -> None:
+    short = [("time", "9.95 s"), ("collisions", "1")]
+    long = [("time", "10.00 s"), ("collisions", "12")]
+    for axis, other in zip(_written(short), _written(long), strict=True):
+        assert (axis.min(), axis.max()) == (other.min(), other.max())
 
 
 def test_a_reading_is_enlarged_without_new_colours() -> None:

@@ -107,12 +107,11 @@ class EpisodeView:
         next(self.run())
         return self.pictures.of_the_place(0, self.conf.width, self.conf.height, max(2, self.conf.samples))
 
-    def status(self, steps: int) -> list[str]:
-        """The agent's state after `steps` control steps of the episode, in a few lines."""
-        lines = [] if len(self.simulation.agents) == 1 else [self.agent]
+    def status(self, steps: int) -> list[tuple[str, str]]:
+        """Names and values of the agent's state after `steps` control steps of the episode."""
+        names = [] if len(self.simulation.agents) == 1 else [("agent", self.agent)]
         time_s = steps / self.conf.physics.control_hz
-        (_, time), *rows = describe_agent(self.simulation, self.group, self.row, time_s)
-        return [*lines, time, *(f"{name} {value}" for name, value in rows)]
+        return [*names, *describe_agent(self.simulation, self.group, self.row, time_s)]
 
     def ending(self) -> str:
         """How the agent's episode ended; empty while it goes on."""

@@ -32,7 +32,7 @@ _MAP_MARGIN_M, _MAP_SMALLEST_M, _MAP_EYE_M = 4.0, 14.0, 90.0
 
 @dataclass(frozen=True, eq=False)
 class _Instant:
-    """What a frame shows: all bodies, readings by name, the agent's position (3,), goal (2,) and text, and
+    """What a frame shows: all bodies, readings by name, the agent's position (3,), goal (2,) and state, and
     positions (K, 2) of other agents; from `behind` it is seen where no camera beside its way sees it.
     """
 
@@ -41,7 +41,7 @@ class _Instant:
     position: Array
     goal: Array | None
     others: Array
-    lines: list[str]
+    state: list[tuple[str, str]]
     ending: str
     behind: Viewpoint
 
@@ -164,7 +164,7 @@ class _Frames:
         picture = self._camera_of(number).render(instant.bodies)
         if self._traced_size != self._layout.picture_size:
             picture = enlarge(picture, *self._layout.picture_size)
-        return self._layout.compose(picture, panels, instant.lines, instant.ending)
+        return self._layout.compose(picture, panels, instant.state, instant.ending)
 
     def _camera_of(self, number: int) -> FixedCamera:
         shot = next(k for k, each in enumerate(self._shots) if number < each.end)
