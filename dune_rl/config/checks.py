@@ -236,20 +236,20 @@ def _dotted(path: Iterable[str | int]) -> str:
     return ".".join(map(str, path))
 
 
-def _unwrapped(annotation: Any) -> Iterator[Any]:
+def members_of_type(annotation: Any) -> Iterator[Any]:
     """The members of a type: of `Annotated[A | B | None, ...]` they are A and B."""
     if get_origin(annotation) is Annotated:
-        yield from _unwrapped(get_args(annotation)[0])
+        yield from members_of_type(get_args(annotation)[0])
     elif get_origin(annotation) in (Union, types.UnionType):
         for inner in get_args(annotation):
-            yield from _unwrapped(inner)
+            yield from members_of_type(inner)
     else:
         yield annotation
 
 
 def _element(annotation: Any) -> Any | None:
     """The type of what a list or a dictionary of this type holds; None for another type."""
-    for member in _unwrapped(annotation):
+    for member in members_of_type(annotation):
         arguments = get_args(member)
         if get_origin(member) is dict:
             return arguments[1]
@@ -260,7 +260,7 @@ def _element(annotation: Any) -> Any | None:
 
 def _settings_class(annotation: Any, value: Any, key: str | int) -> type[BaseModel] | None:
     """The settings class of a type that a value belongs to: by the part that the value, or its key, names."""
-    members = list(_unwrapped(annotation))
+    members = list(members_of_type(annotation))
     candidates = [each for each in members if isinstance(each, type) and issubclass(each, BaseModel)]
     data = value if isinstance(value, Mapping) else {}
     for candidate in candidates:

@@ -12,7 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 from typing_extensions import TypeVar
 
 from dune_rl.config import group_options, shorthands
-from dune_rl.config.checks import unique_lines, validate
+from dune_rl.config.checks import members_of_type, unique_lines, validate
 from dune_rl.config.commands import BenchmarkConf, EvaluateConf, ForecastConf, GazeboConf, RosConf, ViewConf
 from dune_rl.config.hydra_session import (
     WHOLE_SETTINGS,
@@ -22,7 +22,14 @@ from dune_rl.config.hydra_session import (
     stated_keys,
     to_plain,
 )
-from dune_rl.config.overrides import SCENARIO, ParsedOverrides, option_names, parse_overrides, sweep_values
+from dune_rl.config.overrides import (
+    SCENARIO,
+    ParsedOverrides,
+    option_names,
+    parse_override,
+    parse_overrides,
+    sweep_values,
+)
 from dune_rl.config.saved import upgrade_saved
 from dune_rl.config.schema import Conf, EnvConf
 from dune_rl.core.errors import ConfigError
@@ -41,6 +48,13 @@ _FILES: Mapping[type[EnvConf], str] = {
     ViewConf: "view",
     BenchmarkConf: "benchmark",
 }
+# The settings of commands that are texts, such as names of files, and two actions that take a folder.
+_TEXTS = frozenset({"join", "verify"}).union(
+    name
+    for model in _FILES
+    for name, field in model.model_fields.items()
+    if str in members_of_type(field.annotation)
+)
 # Groups of agents are no options, whatever they are called.
 _GROUPS = ("agents", "actors")
 # Of environments made in Python and of benchmarks, unless a scenario or an experiment chooses one.
@@ -60,7 +74,7 @@ def compose(
     """
     name = _FILES[model]
     with hydra_session(config_dirs) as loader:
-        request = parse_overrides(overrides, loader)
+        request = parse_overrides(overrides, loader, _TEXTS)
         if model is BenchmarkConf:
             request = _with_default_world(name, request, loader)
         swept = [str(o.input_line) for o in (*request.groups, *request.values) if o.is_sweep_override()]
@@ -93,7 +107,7 @@ def compose_environment(
         raise ConfigError("overrides and config_dirs are lists of strings; write [...] round the one")
     with hydra_session(config_dirs) as loader:
         words, changes = _words_and_changes(world, overrides, settings or {}, loader)
-        request = _with_default_world("environment", parse_overrides(words, loader), loader)
+        request = _with_default_world("environment", parse_overrides(words, loader, _TEXTS), loader)
         data = to_plain(compose_config("environment", request.without_group_changes()))
         return _finish(model, data, request, loader, changes, set_in_python=settings or {})
 
@@ -147,7 +161,7 @@ def check_sweep(overrides: Sequence[str], config_dirs: Sequence[str] = ()) -> li
     `ConfigError` names the faults of all.
     """
     with hydra_session(config_dirs) as loader:
-        request = parse_overrides(overrides, loader)
+        request = parse_overrides(overrides, loader, _TEXTS)
         faults = list(request.faults)
         for variant in _sweep_variants(request):
             data = to_plain(compose_config("train", variant.without_group_changes()))
@@ -168,8 +182,8 @@ def override_value(overrides: Sequence[str], key: str) -> Any | None:
     for text in overrides:
         if text.lstrip("+").startswith(f"{key}="):
             # What cannot be read is reported when all is composed.
-            with suppress(HydraException):
-                value = parser.parse_override(text).value()
+            with suppress(HydraException, ValueError):
+                value = parse_override(parser, text, _TEXTS).value()
     return value
 
 

@@ -1,6 +1,6 @@
 """Overrides of the command line in Hydra's form, and the options of groups, users' parts among them."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,12 +11,12 @@ from hydra.core.config_loader import ConfigLoader
 from hydra.core.config_store import ConfigStore
 from hydra.core.object_type import ObjectType
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import IntervalSweep, Override, OverrideType
+from hydra.core.override_parser.types import IntervalSweep, Override, OverrideType, ValueType
 from hydra.errors import HydraException
 
 from dune_rl.core.errors import DuneError
 from dune_rl.core.registry import Registry
-from dune_rl.core.suggestions import closest, one_of, typed_word
+from dune_rl.core.suggestions import closest, one_of, text_word, typed_word
 from dune_rl.core.untrusted_files import printable
 from dune_rl.learning.registry import ALGORITHMS
 from dune_rl.physics.interface import ENGINES
@@ -33,6 +33,8 @@ REGISTRIES: Mapping[str, Registry[Any]] = {
 _PROVIDER = "dune_rl"
 # Letters of a word that a message repeats.
 _MOST_REPEATED = 200
+# What Hydra's grammar makes of a value: a list, a section, a quoted text, a reference, a sweep.
+_GRAMMAR = frozenset("[]{}\"'$\\,")
 
 
 def offer_user_parts(folders: Sequence[str] = ()) -> None:
@@ -148,8 +150,31 @@ class ParsedOverrides:
         return words
 
 
-def parse_overrides(overrides: Sequence[str], loader: ConfigLoader) -> ParsedOverrides:
-    """Parse overrides and sort them by what they do; unreadable and unknown ones become faults."""
+def parse_override(parser: OverridesParser, word: str, texts: Container[str]) -> Override:
+    """The override that a word is; raises HydraException or ValueError where it is none.
+
+    A value is a text, without quotes, where Hydra's grammar has no place for it ("monde été"), and in one of
+    the settings `texts`, in which the grammar reads a number ("2024_01").
+    """
+    key, _, value = word.partition("=")
+    quoted = text_word(key, value.strip())
+    try:
+        override = parser.parse_override(word)
+    except (HydraException, ValueError):
+        if not value.strip() or _GRAMMAR & set(value):
+            raise
+        return parser.parse_override(quoted)
+    is_number = override.value_type is ValueType.ELEMENT and isinstance(override.value(), bool | int | float)
+    return parser.parse_override(quoted) if is_number and override.key_or_group in texts else override
+
+
+def parse_overrides(
+    overrides: Sequence[str], loader: ConfigLoader, texts: Container[str] = ()
+) -> ParsedOverrides:
+    """Parse overrides and sort them by what they do; unreadable and unknown ones become faults.
+
+    `texts` are the settings of the top level that are texts.
+    """
     parser = OverridesParser.create(config_loader=loader)
     folders = group_names(loader)
     groups: list[Override] = []
@@ -159,7 +184,7 @@ def parse_overrides(overrides: Sequence[str], loader: ConfigLoader) -> ParsedOve
     faulty_groups: set[str] = set()
     for text in overrides:
         try:
-            override = parser.parse_override(text)
+            override = parse_override(parser, text, texts)
         # Python refuses numbers of thousands of digits.
         except (HydraException, ValueError):
             faults.append(_describe_unreadable(text))
@@ -257,7 +282,7 @@ def _describe_unreadable(text: str) -> str:
     key = printable(text.partition("=")[0], _MOST_REPEATED)
     return (
         f"cannot read {printable(text, _MOST_REPEATED)!r}; write key=value, and quote a value that holds "
-        f"spaces, accents, commas, brackets or equals signs: '{key}=\"...\"'"
+        f"commas, brackets, quotes or backslashes: '{key}=\"...\"'"
     )
 
 

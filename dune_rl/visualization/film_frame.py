@@ -54,8 +54,8 @@ class FilmFrame:
         state: Sequence[tuple[str, str]] = (),
         headline: str = "",
     ) -> Picture:
-        """The frame (height, width, 3): `picture` of `picture_size`, `panels` by title, each of its size; upon
-        the picture names and values of a `state`, and a `headline`.
+        """The frame (height, width, 3): `picture` of `picture_size`, `panels` by title, each of its size,
+        and upon the picture the names and values of a `state` and a `headline`.
         """
         frame = self._empty.copy()
         frame[:, : self.picture_size[0]] = picture
@@ -80,7 +80,7 @@ def _write(
     *,
     share: float = 0.0,
 ) -> None:
-    """Write `lines` on a darkened part of a frame at `corner` (left, top), moved left by a share of its width.
+    """Write `lines` on a darkened part of a frame at `corner` (left, top), moved left by a `share` of it.
 
     `values` stand in a column of their own, flush right.
     """

@@ -114,8 +114,8 @@ def test_the_plus_makes_no_difference(world: str, actors: str, seed: str) -> Non
          "does; set it to 0, or have another group learn (actors=learning_walkers)"),
         (["world=flat", "seed"], "cannot read 'seed'; write key=value"),
         (["world=flat", "learning.hidden=[256"],
-         "cannot read 'learning.hidden=[256'; write key=value, and quote a value that holds spaces, accents, "
-         "commas, brackets or equals signs: 'learning.hidden=\"...\"'"),
+         "cannot read 'learning.hidden=[256'; write key=value, and quote a value that holds commas, "
+         "brackets, quotes or backslashes: 'learning.hidden=\"...\"'"),
         (["world=flat", "seed=1,2"],
          "seed=1,2 has several values; add -m to run them all, or quote the value"),
         (["world=flat", "wrold/x=1"],
@@ -130,6 +130,23 @@ def test_bad_overrides(overrides: list[str], message: str) -> None:
     with pytest.raises(ConfigError) as caught:
         compose(Conf, overrides)
     assert str(caught.value) == message
+
+
+@pytest.mark.parametrize(
+    "name", ["2024_01", "20240101", "1e5", "true", "monde été", "runs (2)/a=b", "it", "~/a", "a:b", "日本"]
+)
+def test_names_of_folders_are_taken_as_they_are_typed(name: str) -> None:
+    typed = [
+        compose(Conf, ["+world=flat", word]).run_dir for word in (f"run_dir={name}", f'run_dir="{name}"')
+    ]
+    assert typed == [name, name]
+    assert override_value([f"verify={name}"], "verify") == name
+    assert compose(Conf, ["+world=sdf", f"world.path={name}/site.sdf"]).world.path == f"{name}/site.sdf"
+
+
+def test_numbers_stay_numbers() -> None:
+    conf = compose(Conf, ["+world=flat", "total_frames=1_000", "learning.tau=5e-3", "resume=null"])
+    assert (conf.total_frames, conf.learning.tau, conf.resume) == (1000, 0.005, None)
 
 
 def test_enormous_numbers_are_named() -> None:
