@@ -75,6 +75,10 @@ def parse_words(words: Sequence[str]) -> DriveConf:
 def run(words: Sequence[str]) -> None:
     """Drive on live topics, or play the bag that the command line names into the policy."""
     conf = parse_words(words)
+    # Before what reads them is loaded, which takes seconds.
+    for name, path in (("bag", conf.bag), ("policy", conf.policy)):
+        if path is not None and not Path(path).exists():
+            raise ConfigError(f"{name}={path}: there is no such {'file' if name == 'policy' else 'bag'}")
     if conf.bag is None:
         _drive(conf)
     else:

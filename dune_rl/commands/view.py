@@ -103,16 +103,16 @@ def _view(conf: ViewConf, plan: "EpisodePlan | None") -> None:
         command_line.print_world_notes(console, conf)
         _print_path(console, write_map(conf, folder / f"{_stem(conf)}_map.png", console, plan))
         return
-    from dune_rl.reporting.views.episode import EpisodeView, write_orbit, write_sheet
-    from dune_rl.reporting.views.film import write_video
-
     if conf.view in ("live", "html"):
         from dune_rl.rendering.web.server import check_address, require_viser
 
-        # Before the world is built, which may take a while.
+        # Before the world is built, and PyTorch is loaded, which may take a while.
         require_viser(f"view={conf.view}")
         if conf.view == "live":
             check_address(conf.host, conf.port)
+    from dune_rl.reporting.views.episode import EpisodeView, write_orbit, write_sheet
+    from dune_rl.reporting.views.film import write_video
+
     episode = EpisodeView(conf, plan)
     try:
         if conf.view == "live":

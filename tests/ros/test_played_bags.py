@@ -297,7 +297,7 @@ def test_what_is_no_bag_is_named(
     (folder / "bare" / "a.mcap").write_bytes(content)
     (folder / "cut.mcap").write_bytes((bag / f"{bag.name}.mcap").read_bytes()[:5000])
     for path, sentence in (
-        ("absent", "bag=absent is no bag that can be read"),
+        ("absent", "bag=absent: there is no such bag"),
         ("broken", "bag=broken is no bag that can be read"),
         ("cut.mcap", "bag=cut.mcap is no bag that can be read"),
         ("damaged.mcap", "bag=damaged.mcap is damaged"),
