@@ -38,7 +38,7 @@ class OnnxPolicy:
         self._path, self._session = path, session
         shapes = {each.name: each.shape for each in session.get_inputs()}
         self._memory_units = int(shapes.pop(MEMORY)[-1]) if MEMORY in shapes else 0
-        self._inputs = list(shapes)
+        self._shapes = shapes
         # Exporters fix the batch at one unless told otherwise.
         self._one_by_one = any(shape[:1] == [1] for shape in shapes.values())
         self._outputs = [session.get_outputs()[0].name, *([MEMORY_AFTER] if self._memory_units else [])]
@@ -76,18 +76,19 @@ class OnnxPolicy:
 
         Raises ConfigError where the readings do not fit.
         """
-        if set(self._inputs) <= observation.keys():
-            given = {name: observation[name] for name in self._inputs}
-        elif len(self._inputs) == 1:
+        if self._shapes.keys() <= observation.keys():
+            given = {name: observation[name] for name in self._shapes}
+        elif len(self._shapes) == 1:
             # As flat observations of the Gymnasium environment: readings in the order of their names.
             rows = [observation[key].reshape(len(observation[key]), -1) for key in sorted(observation)]
-            given = {self._inputs[0]: np.concatenate(rows, axis=1).astype(np.float32)}
+            given = {next(iter(self._shapes)): np.concatenate(rows, axis=1).astype(np.float32)}
         else:
-            missing = sorted(set(self._inputs) - observation.keys())
+            missing = sorted(self._shapes.keys() - observation.keys())
             raise ConfigError(
                 f"policy={self._path}: there is no sensor {', '.join(missing)}; there are "
                 f"{', '.join(observation)}"
             )
+        self._check_shapes(given)
         count = len(next(iter(given.values())))
         if self.is_recurrent:
             given[MEMORY] = self._memory_before(count, begins)
@@ -109,6 +110,18 @@ class OnnxPolicy:
             self._memory = found[1]
         actions: NDArray[np.floating] = found[0]
         return actions
+
+    def _check_shapes(self, given: Mapping[str, NDArray[Any]]) -> None:
+        for name, value in given.items():
+            # Of some files the shape is not known, or a size is a name: any fits.
+            wanted, found = self._shapes[name][1:] or value.shape[1:], value.shape[1:]
+            sizes = zip(wanted, found, strict=False)
+            if len(wanted) != len(found) or any(isinstance(a, int) and a != b for a, b in sizes):
+                reads, gets = (" x ".join(map(str, each)) or "1" for each in (wanted, found))
+                raise ConfigError(
+                    f"policy={self._path} reads {name} of size {reads}, and gets {gets}; set the sensors as "
+                    "they were in its training"
+                )
 
     def _memory_before(self, count: int, begins: NDArray[np.bool_] | None) -> NDArray[np.float32]:
         if len(self._memory) != count:

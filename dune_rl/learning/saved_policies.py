@@ -25,9 +25,7 @@ def describe_selection(content: Mapping[str, Any]) -> str:
     frames = content["frames"] if "frames" in content else content["counters"]["frames"]
     selection = content.get("selection")
     if selection is None:
-        chosen = (
-            "a policy whose file does not say how it was chosen" if content["kind"] == "policy" else LATEST
-        )
+        chosen = "a policy (how it was chosen is not recorded)" if content["kind"] == "policy" else LATEST
     elif selection["by"] == BEST_EVALUATION:
         score = f"{selection['measure']} {selection['score']:.3g} of {selection['episodes']} episodes"
         chosen = f"{BEST_EVALUATION} of its run ({score}, seed {selection['seed']})"

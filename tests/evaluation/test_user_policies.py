@@ -161,6 +161,16 @@ def test_an_onnx_file_drives(call: Call, folder: Path, capsys: pytest.CaptureFix
     assert call(evaluate.main, "policy=faster.onnx", *WORDS, "out=faster") == 2
     error = capsys.readouterr().err
     assert "policy=faster.onnx was made for another environment: actions lie in [0, 9], [-3.14" in error
+    same = helper.make_graph(
+        [helper.make_node("Identity", ["goal"], ["action"])],
+        "wide",
+        [helper.make_tensor_value_info("goal", float32, ["n", 3])],
+        [helper.make_tensor_value_info("action", float32, ["n", 3])],
+    )
+    wide = helper.make_model(same, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    onnx.save(wide, folder / "wide.onnx")
+    assert call(evaluate.main, "policy=wide.onnx", *WORDS, "out=wide") == 2
+    assert "policy=wide.onnx reads goal of size 3, and gets 2; set the sensors" in capsys.readouterr().err
     (folder / "broken.onnx").write_bytes(b"no graph")
     assert call(evaluate.main, "policy=broken.onnx", *WORDS, "out=broken") == 2
     assert not (folder / "broken").exists()
