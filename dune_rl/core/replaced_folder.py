@@ -18,13 +18,19 @@ _INSIDE = ".part"
 
 
 def check_replaceable(
-    out: Path, kind: str, find_others: Callable[[Path], Iterable[Path]], *, overwrite: bool
+    out: Path,
+    kind: str,
+    find_others: Callable[[Path], Iterable[Path]],
+    *,
+    overwrite: bool,
+    named: str | None = None,
 ) -> None:
-    """Raise ConfigError if `out` holds something that must stay.
+    """Raise ConfigError if `out`, which the message calls `named`, holds something that must stay.
 
     That is what `find_others` finds in it and, unless `overwrite`, also what a command of the `kind`, such as
     "a report", wrote there. What a killed process had begun to replace is whole again before.
     """
+    named = named or f"out={out}"
     check_writable(out)
     check_writable(_folder_beside(out).parent)
     _finish_replacing(out)
@@ -32,9 +38,9 @@ def check_replaceable(
         return
     others = sorted(each for each in find_others(out) if each.name != _INSIDE)
     if others:
-        raise ConfigError(f"out={out} holds other files ({others[0].name}); choose another folder")
+        raise ConfigError(f"{named} holds other files ({others[0].name}); choose another folder")
     if _entries(out) and not overwrite:
-        raise ConfigError(f"out={out} holds {kind} already; choose another folder, or add overwrite=true")
+        raise ConfigError(f"{named} holds {kind} already; choose another folder, or add overwrite=true")
 
 
 @contextmanager

@@ -39,7 +39,7 @@ class BagReadings:
         self._path = path
         with _open_bag(path) as reader:
             counts = {topic: info.msgcount for topic, info in reader.topics.items()}
-            types = {each.topic: each.msgtype for each in reader.connections if counts[each.topic]}
+            types = {each.topic: [each.msgtype] for each in reader.connections if counts[each.topic]}
             self.metadata = read_metadata(reader)
         self._readings = RobotReadings(
             parts, types, topics, origin=str(path), remedy="record one", robot=robot, base=base

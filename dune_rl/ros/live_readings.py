@@ -79,7 +79,8 @@ class LiveReadings:
             try:
                 if self._conf.sim_time and _CLOCK not in offers:
                     raise ConfigError(f"{self._origin}: there is no topic /clock; leave sim_time=true out")
-                self._readings = self._make({topic: found[0].type for topic, found in offers.items()})
+                types = {topic: [offer.type for offer in found] for topic, found in offers.items()}
+                self._readings = self._make(types)
             except ConfigError:
                 if is_late and not offers:
                     raise ConfigError(

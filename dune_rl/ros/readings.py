@@ -52,7 +52,7 @@ def check_parts(named: Iterable[str], parts: Collection[str]) -> None:
 
 
 class RobotReadings:
-    """The readings `parts` of one robot, out of messages on topics whose types are `types`.
+    """The readings `parts` of one robot, out of messages on topics, of which `types` has those offered.
 
     `robot` is the namespace of its topics and frames, `base` the frame of its body. `named` has the topics of
     parts that are not the default ones. `origin` names the bag or the network in errors, and `remedy` says
@@ -63,7 +63,7 @@ class RobotReadings:
     def __init__(
         self,
         parts: Mapping[str, ReadingSource],
-        types: Mapping[str, str],
+        types: Mapping[str, Collection[str]],
         named: Mapping[str, str],
         *,
         origin: str,
@@ -71,10 +71,12 @@ class RobotReadings:
         robot: str | None = None,
         base: str | None = None,
     ) -> None:
-        self._parts, self._types, self._origin, self._remedy = dict(parts), dict(types), origin, remedy
+        self._parts, self._offered, self._origin, self._remedy = dict(parts), dict(types), origin, remedy
         self._prefix = "" if robot is None else f"{robot.strip('/')}/"
         self._base = base or f"{self._prefix}{BASE}"
         self._past: dict[str, PastScans] = {}
+        # Of each topic that is read.
+        self._types: dict[str, str] = {}
         self.topics = self._choose_topics(named)
         self._parts_of: dict[str, list[str]] = {}
         for part, topic in self.topics.items():
@@ -95,17 +97,20 @@ class RobotReadings:
             kinds = [*dict.fromkeys(full_name(kind) for source in sources for kind in source.types)]
             defaults = [f"/{self._prefix}{source.topic}" for source in sources]
             asked = [named[part]] if part in named else defaults
-            there = [topic for topic in asked if topic in self._types]
+            there = [topic for topic in asked if topic in self._offered]
             if not there and each.past is not None and part not in named:
                 self._past[part] = PastScans(each.past, f"{self._prefix}{ODOM}", self._base)
-            elif not there:
+                continue
+            if not there:
                 faults.append(self._describe_missing(part, asked[0], kinds))
-            elif self._types[there[0]] not in kinds:
-                faults.append(
-                    f"{there[0]} is of {self._types[there[0]]}, and {part} is read from {one_of(kinds)}"
-                )
+                continue
+            topic = there[0]
+            fitting = [kind for kind in self._offered[topic] if kind in kinds]
+            if fitting:
+                found[part], self._types[topic] = topic, fitting[0]
             else:
-                found[part] = there[0]
+                other = one_of(self._offered[topic])
+                faults.append(f"{topic} is of {other}, and {part} is read from {one_of(kinds)}")
         for part, past in self._past.items():
             if self._types.get(found.get(past.lidar, "")) != SCAN and not faults:
                 faults.append(self._describe_missing(part, f"/{self._prefix}observation/{part}", ()))
@@ -117,7 +122,7 @@ class RobotReadings:
     def _describe_missing(self, part: str, topic: str, kinds: Sequence[str]) -> str:
         # Any array could be meant, but one that is called after another part is not.
         named = [kind for kind in kinds if kind not in _ARRAY_NAMES]
-        fits = [name for name, kind in sorted(self._types.items()) if kind in named]
+        fits = [name for name, found in sorted(self._offered.items()) if not {*found}.isdisjoint(named)]
         lacks = f"there is no topic {topic} for {part}"
         if not fits:
             others = f", nor another of {one_of(named)}" if named else ""
@@ -128,7 +133,7 @@ class RobotReadings:
 
     def _robots(self) -> list[str]:
         """The namespaces of robots of ours."""
-        ends = [name.removesuffix(_TRUTH) for name in self._types if name.endswith(_TRUTH)]
+        ends = [name.removesuffix(_TRUTH) for name in self._offered if name.endswith(_TRUTH)]
         return sorted(name.strip("/") for name in ends if name)
 
     def type_of(self, topic: str) -> str:

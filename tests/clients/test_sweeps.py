@@ -1,4 +1,4 @@
-"""Sweeps by other people's launchers and sweepers: joblib, submitit and Optuna."""
+"""Sweeps by other people's launchers and sweepers: joblib, submitit, Ray and Optuna."""
 
 import subprocess
 import sys
@@ -44,10 +44,23 @@ def train(folder: Path, *words: str) -> str:
             ["hydra/launcher=submitit_local"],
             marks=pytest.mark.client("Hydra: submitit", "a sweep of two jobs", "dune_rl.train -m"),
         ),
+        pytest.param(
+            [
+                "hydra/launcher=ray",
+                "+hydra.launcher.ray.init.address=local",
+                "+hydra.launcher.ray.init.num_cpus=2",
+                "+hydra.launcher.ray.init.include_dashboard=false",
+            ],
+            marks=pytest.mark.client("Hydra: Ray", "a sweep of two tasks", "dune_rl.train -m"),
+        ),
     ],
-    ids=["joblib", "submitit"],
+    ids=["joblib", "submitit", "ray"],
 )
 def test_launchers_run_the_jobs(launcher: list[str], tmp_path: Path) -> None:
+    if launcher[0].endswith("=ray"):
+        # Its imports need what `--no-deps` left out only on Amazon's machines.
+        pytest.importorskip("hydra_plugins.hydra_ray_launcher.ray_launcher", reason="no Ray launcher")
+        pytest.importorskip("ray", reason="Ray is not installed")
     train(tmp_path, "seed=1,2", *launcher)
     for number, seed in enumerate((1, 2)):
         folder = tmp_path / "sweep" / f"{number}_flat_seed{seed}"

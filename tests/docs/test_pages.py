@@ -58,6 +58,7 @@ SNIPPETS = [
 PLUGINS = {
     "joblib": "hydra_plugins.hydra_joblib_launcher",
     "submitit": "hydra_plugins.hydra_submitit_launcher",
+    "ray": "hydra_plugins.hydra_ray_launcher",
     "optuna": "hydra_plugins.hydra_optuna_sweeper",
 }
 

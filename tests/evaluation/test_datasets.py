@@ -184,6 +184,11 @@ def test_a_dataset_is_replaced_by_overwrite_alone(
     assert next(iter(minari.load_dataset("mine-v0").storage.get_episode_metadata([0])))["seed"] == 1
     # Nothing half written stays behind.
     assert [path.name for path in local.iterdir()] == ["mine-v0"]
+    # "mine-v0/planner-v0" is a dataset, too.
+    (local / "mine-v0" / "planner-v0").mkdir()
+    assert call(evaluate.main, *WORDS, *own, "out=third", "overwrite=true") == 2
+    assert f"dataset=mine-v0: {local / 'mine-v0'} holds other files (planner-v0)" in capsys.readouterr().err
+    assert (local / "mine-v0" / "planner-v0").exists()
 
 
 @pytest.mark.parametrize(

@@ -25,6 +25,7 @@ CLIENTS = {
     "viser": "viser",
     "Hydra: joblib": "hydra-joblib-launcher",
     "Hydra: submitit": "hydra-submitit-launcher",
+    "Hydra: Ray": "hydra-ray-launcher",
     "Hydra: Optuna": "hydra-optuna-sweeper",
 }
 

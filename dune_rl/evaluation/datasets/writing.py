@@ -1,8 +1,6 @@
 """Writes the episodes of an evaluation as a Minari dataset, whole or not at all."""
 
 import os
-import shutil
-import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,6 +10,7 @@ import gymnasium
 from torchrl.envs import EnvBase
 
 from dune_rl.core.errors import ConfigError
+from dune_rl.core.replaced_folder import check_replaceable, replace_folder
 from dune_rl.core.suggestions import typed_word
 from dune_rl.core.version import VERSION
 from dune_rl.env.observation_layout import ObservationLayout, box
@@ -34,6 +33,7 @@ from dune_rl.learning.checkpoint import interpreting, read_policy_file
 from dune_rl.learning.saved_policies import saved_entry
 
 DATASHEET = "DATASHEET.md"
+_DATA = "data"
 
 
 def plan_with_dataset(plan: EvaluationPlan, out: Path) -> EvaluationPlan:
@@ -53,7 +53,18 @@ def plan_with_dataset(plan: EvaluationPlan, out: Path) -> EvaluationPlan:
     parent = next(each for each in path.parents if each.exists())
     if not parent.is_dir() or not os.access(parent, os.W_OK):
         raise ConfigError(f"dataset={name} cannot be written to {parent}; set MINARI_DATASETS_PATH")
+    _check_folder(name, path)
     return replace(plan, transitions=(out / TRANSITIONS).absolute())
+
+
+def _check_folder(name: str, path: Path) -> None:
+    """Raise ConfigError if a dataset's folder holds anything else, such as datasets of its namespace."""
+
+    def find_others(folder: Path) -> list[Path]:
+        return [each for each in folder.iterdir() if each.name not in (_DATA, DATASHEET)]
+
+    named = f"dataset={name}: {path}"
+    check_replaceable(path, "a dataset", find_others, overwrite=True, named=named)
 
 
 def _dataset_path(name: str) -> Path:
@@ -91,25 +102,21 @@ def write_dataset(plan: EvaluationPlan, folder: ResultsFolder, spaces: DatasetSp
     Raises ConfigError if transitions are missing, or the dataset cannot be written.
     """
     assert plan.conf.dataset is not None and plan.transitions is not None
-    path = _dataset_path(plan.conf.dataset)
+    name = plan.conf.dataset
+    path = _dataset_path(name)
+    go_on = f"go on with {typed_word('resume', folder.path)}"
+
+    def check() -> None:
+        _check_folder(name, path)
+        if path.exists() and not plan.conf.overwrite:
+            raise ConfigError(f"dataset={name} is there now, in {path}; move it away, and {go_on}")
+
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        # Minari passes over folders whose names begin with a dot.
-        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
-        try:
-            _write(plan, folder, spaces, temporary)
-            # mkdtemp's 0700 would hide the data from the group.
-            temporary.chmod(0o755)
-            if path.exists():
-                shutil.rmtree(path)
-            temporary.rename(path)
-        finally:
-            shutil.rmtree(temporary, ignore_errors=True)
+        # Minari passes over folders whose names begin with a dot, as that one's does.
+        with replace_folder(path, check, last=_DATA) as new:
+            _write(plan, folder, spaces, new)
     except OSError as error:
-        raise ConfigError(
-            f"dataset={plan.conf.dataset} cannot be written ({error}); go on with "
-            f"{typed_word('resume', folder.path)}"
-        ) from error
+        raise ConfigError(f"dataset={name} cannot be written ({error}); {go_on}") from error
     return path
 
 
@@ -125,7 +132,7 @@ def _write(plan: EvaluationPlan, folder: ResultsFolder, spaces: DatasetSpaces, p
     if namespace is not None and namespace not in list_local_namespaces():
         create_namespace(namespace)
     storage = MinariStorage.new(
-        path / "data",
+        path / _DATA,
         spaces.observation,
         spaces.action,
         environment_spec(conf, plan.episode_set),
