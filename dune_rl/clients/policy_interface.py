@@ -17,7 +17,6 @@ from dune_rl.sensors.conf import Sensors
 from dune_rl.state.unicycle import Unicycle
 
 _SPEED_AND_HEADING = ("speed_mps", "relative_heading_rad")
-_GOAL = "goal_reached"
 
 
 def _is_shape(value: tuple[int, ...]) -> tuple[int, ...]:
@@ -73,7 +72,6 @@ class PolicyInterface(Settings):
             robot = build_robot(own.body, 1)
             sensors = {name: each.mounted_on(carrier_of(robot)) for name, each in sensors.items()}
             vehicle = vehicle_of(robot) if names[0] == _SPEED_AND_HEADING[0] else None
-        endings = {} if own.task is None else own.task.terminations
         parts = {key: spec.part(key) for key in spec.keys}
         return cls(
             group=group,
@@ -89,5 +87,5 @@ class PolicyInterface(Settings):
             control_step_s=conf.physics.control_step_s,
             sensors=sensors,
             vehicle=vehicle,
-            goal_m=getattr(endings.get(_GOAL), "distance_m", None),
+            goal_m=None if own.task is None else own.task.goal_reached_m,
         )

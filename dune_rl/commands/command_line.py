@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from dune_rl.config.schema import EnvConf
+    from dune_rl.core.settings import Settings
 
 _SHOW_WARNING = warnings.showwarning
 
@@ -47,6 +48,8 @@ _FILE_ERRORS = {
 }
 
 
+# What a shell has for a program that SIGPIPE ended.
+_UNREAD = 141
 # A lost signal is repeated after this time, when what lost it is over or loses it again.
 _AGAIN_S = 0.05
 
@@ -103,8 +106,8 @@ def check_world_name(words: Sequence[str]) -> None:
 def run_command(page: HelpPage, body: Callable[[Sequence[str]], None]) -> NoReturn:
     """Call `body` with the words of the command line and end the process.
 
-    The exit code is 0, 2 for errors that a user can mend, 130 for Ctrl-C and
-    143 for SIGTERM. `--help` prints the page.
+    The exit code is 0, 2 for errors that a user can mend, 130 for Ctrl-C, 143 for SIGTERM, and 141 where
+    nobody reads the output any more. `--help` prints the page.
     """
     signal.signal(signal.SIGTERM, _terminate)
     warnings.showwarning = _warn
@@ -118,9 +121,12 @@ def run_command(page: HelpPage, body: Callable[[Sequence[str]], None]) -> NoRetu
             show_help(page)
         else:
             body(words)
+        sys.stdout.flush()
     except ReportedError:
         sys.exit(2)
     except (DuneError, OSError) as error:
+        if isinstance(error, BrokenPipeError) and _drop_unread_output():
+            sys.exit(_UNREAD)
         message = describe_user_error(error)
         if message is None:
             raise
@@ -140,6 +146,16 @@ def run_command(page: HelpPage, body: Callable[[Sequence[str]], None]) -> NoRetu
             print_error("Interrupted")
         sys.exit(128 + lost[0])
     sys.exit(0)
+
+
+def _drop_unread_output() -> bool:
+    """Whether nobody reads the output any more, as `head` does once it has enough; it goes nowhere then."""
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return True
+    return False
 
 
 # Signals whose exceptions were lost, until they are repeated.
@@ -253,7 +269,7 @@ def config_folders(parsed: Namespace) -> list[str]:
     return [parsed.config_dir] if parsed.config_dir else []
 
 
-def print_settings(conf: "EnvConf") -> None:
+def print_settings(conf: "Settings") -> None:
     """Print settings as YAML, for `--cfg job`."""
     import yaml
 

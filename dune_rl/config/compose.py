@@ -176,14 +176,20 @@ def check_sweep(overrides: Sequence[str], config_dirs: Sequence[str] = ()) -> li
 
 
 def override_value(overrides: Sequence[str], key: str) -> Any | None:
-    """The value of a setting in the overrides; None where they do not set it."""
+    """The value of a setting in the overrides; None where they do not set it.
+
+    Raises ConfigError for the several values of a sweep.
+    """
     value = None
     parser = OverridesParser.create()
     for text in overrides:
         if text.lstrip("+").startswith(f"{key}="):
             # What cannot be read is reported when all is composed.
             with suppress(HydraException, ValueError):
-                value = parse_override(parser, text, _TEXTS).value()
+                override = parse_override(parser, text, _TEXTS)
+                if override.is_sweep_override():
+                    raise ConfigError(f"{text} has several values; give one, or quote the value")
+                value = override.value()
     return value
 
 

@@ -4,7 +4,7 @@ import contextlib
 import csv
 import hashlib
 import os
-import tempfile
+import secrets
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -42,20 +42,20 @@ def check_not_later(
 def write_atomically(path: Path) -> Iterator[Path]:
     """A temporary path beside `path` that takes its place, whole and on disk, unless the block fails.
 
-    What a process that was killed left beside `path` is removed.
+    A link stays one: its target is replaced. What a process that was killed left beside it is removed.
     """
+    asked, path = path, Path(os.path.realpath(path))
     _remove_abandoned(path)
-    with errors_naming(path):
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
-    temporary = Path(name)
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+    with errors_naming(asked):
+        # Not `mkstemp`, whose files are for their owner alone.
+        handle = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
     try:
         # Until the end, so that others see that this process lives.
         try_lock(handle)
         yield temporary
         with temporary.open("rb+") as file:
             os.fsync(file.fileno())
-        # mkstemp's 0600 would hide results from the group.
-        temporary.chmod(0o644)
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)

@@ -56,6 +56,6 @@ def unused_folder(parent: Path, now: datetime, words: Iterable[str]) -> Path:
 
 
 def file_stem(text: str) -> str:
-    """Text as a part of a file's name: letters, digits, - and . alone."""
+    """Text as a part of a file's name: letters, digits, -, _ and . alone."""
     kept = "".join(char if char.isascii() and (char.isalnum() or char in "-.") else "_" for char in text)
     return "_".join(filter(None, kept.split("_"))).strip("._")[:_LONGEST_WORD] or "unnamed"

@@ -55,7 +55,7 @@ def document_text(root: Element) -> str:
 
 
 class UniqueNames:
-    """Names of letters, digits, - and ., in the order in which they are asked for; none is given twice."""
+    """Names of letters, digits, -, _ and ., in the order in which they are asked for; none is given twice."""
 
     def __init__(self) -> None:
         # SDF reserves the name of the outermost frame.

@@ -9,8 +9,7 @@ from PIL import Image
 
 from dune_rl.gazebo.elements import UniqueNames, words
 from dune_rl.gazebo.painted_mesh import PaintedMesh, PaintedPart, face_normals
-from dune_rl.geometry.arrays import Array
-from dune_rl.rendering.mesh_texture import Bytes
+from dune_rl.geometry.arrays import Array, Bytes
 
 FOLDER = "meshes"
 

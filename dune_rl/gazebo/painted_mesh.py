@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dune_rl.geometry.arrays import Array, Floats
+from dune_rl.geometry.arrays import Array, Bytes, Floats
 from dune_rl.rendering.light import linear_to_srgb
-from dune_rl.rendering.mesh_texture import Bytes, MeshTexture
+from dune_rl.rendering.mesh_texture import MeshTexture
 from dune_rl.rendering.scenery import ColouredMesh
 from dune_rl.worlds.world import Prop
 

@@ -10,12 +10,11 @@ from dune_rl.core.constants import GRAVITY_MPS2
 from dune_rl.gazebo.elements import UniqueNames, add, add_pose, make_system, words
 from dune_rl.gazebo.mesh_folder import MeshFolder
 from dune_rl.gazebo.painted_mesh import PaintedMesh, PaintedPart, paint_prop
-from dune_rl.geometry.arrays import Array
+from dune_rl.geometry.arrays import Array, Bytes
 from dune_rl.geometry.heightfield import HeightField
 from dune_rl.physics.interface import PhysicsConf
 from dune_rl.rendering.baked_scenery import smooth_normals
 from dune_rl.rendering.light import Light, LightConf, linear_to_srgb
-from dune_rl.rendering.mesh_texture import Bytes
 from dune_rl.rendering.scenery import Segment
 from dune_rl.rendering.weather import WeatherConf
 from dune_rl.worlds.appearance import build_scenery, with_own_sun

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
+Bytes = NDArray[np.uint8]
 Flags = NDArray[np.bool_]
 Counts = NDArray[np.int64]
 

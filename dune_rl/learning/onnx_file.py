@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import redirect_stdout
 from importlib.util import find_spec
 from io import StringIO
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -17,7 +16,6 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import GRUModule
 
 from dune_rl.core.errors import ConfigError
-from dune_rl.core.files import write_atomically
 from dune_rl.learning.networks.policy import FEATURES, MEMORY
 from dune_rl.learning.policy_spec import PolicySpec
 
@@ -102,12 +100,12 @@ def check_exporter() -> None:
         raise ConfigError("an ONNX file needs onnx and onnxscript: pip install 'dune_rl[export]'")
 
 
-def write_onnx(
-    path: Path, network: TensorDictModuleBase, spec: PolicySpec, description: Mapping[str, Any]
-) -> ActingNetwork:
-    """Write a policy that acts as its most likely behaviour does; `description` is kept under `METADATA`.
+def onnx_model(
+    network: TensorDictModuleBase, spec: PolicySpec, description: Mapping[str, Any]
+) -> tuple[ActingNetwork, bytes]:
+    """A policy that acts as its most likely behaviour does, as a network and as the content of an ONNX file.
 
-    Returns the network that was written. Raises ConfigError for a network that ONNX has no form for.
+    `description` is kept in it under `METADATA`. Raises ConfigError for a network that ONNX has no form for.
     """
     check_exporter()
     import onnx
@@ -142,6 +140,4 @@ def write_onnx(
     assert program is not None
     model = program.model_proto
     onnx.helper.set_model_props(model, {METADATA: json.dumps(description)})
-    with write_atomically(path) as temporary:
-        temporary.write_bytes(model.SerializeToString())
-    return acting
+    return acting, model.SerializeToString()

@@ -37,7 +37,10 @@ class OnnxPolicy:
             raise ConfigError(f"policy={path} cannot be read as an ONNX file: {reason}") from None
         self._path, self._session = path, session
         shapes = {each.name: each.shape for each in session.get_inputs()}
-        self._memory_units = int(shapes.pop(MEMORY)[-1]) if MEMORY in shapes else 0
+        memory = shapes.pop(MEMORY, (0,))
+        if not memory or not isinstance(memory[-1], int):
+            raise ConfigError(f"policy={path}: its input {MEMORY} has no size; give it one")
+        self._memory_units = memory[-1]
         self._shapes = shapes
         # Exporters fix the batch at one unless told otherwise.
         self._one_by_one = any(shape[:1] == [1] for shape in shapes.values())

@@ -8,10 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from dune_rl.geometry.arrays import Array, Flags, Floats
+from dune_rl.geometry.arrays import Array, Bytes, Flags, Floats
 from dune_rl.rendering.light import srgb_to_linear
-
-Bytes = NDArray[np.uint8]
 
 # Largest side of a picture: sides are powers of two, so that mipmaps halve evenly down to one texel.
 _LARGEST = 1024

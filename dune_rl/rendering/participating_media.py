@@ -3,14 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dune_rl.geometry.arrays import Flags, Floats
+from dune_rl.geometry.arrays import Bytes, Flags, Floats
 from dune_rl.rendering.foliage import BatchedFoliage, Foliage, FoliageTransmission
 from dune_rl.rendering.light import Light, srgb_to_linear, tone_map_to_srgb
 from dune_rl.rendering.weather import Haze
-
-Bytes = NDArray[np.uint8]
 
 TONES, BRIGHTEST = 4096, 4.0
 _LINEAR = np.linspace(0.0, BRIGHTEST, TONES, dtype=np.float32)

@@ -63,8 +63,9 @@ class LiveReadings:
         # None before the first tick.
         self._clock_ns: int | None = None
         self._ticked_s = time.monotonic()
-        # When the last message of each topic arrived, by the clock.
+        # When the last message of each topic arrived, by the clock, and what came since its last tick.
         self._arrived_ns: dict[str, int] = {}
+        self._since_tick: dict[str, Any] = {}
         self.newest_sent_ns = 0
 
     def _find_topics(self, is_stopped: Callable[[], bool]) -> Mapping[str, list[Offer]]:
@@ -130,24 +131,33 @@ class LiveReadings:
             if topic == _CLOCK:
                 self._tick(stamp_ns(message.clock))
                 continue
-            now_ns = self.now_ns
-            self._arrived_ns[topic] = now_ns
+            self._take(topic, message)
+            if self._has_clock:
+                self._since_tick[topic] = message
             if topic != TF_STATIC and not self._is_event(topic):
                 self.newest_sent_ns = max(self.newest_sent_ns, sent_ns)
-            self._readings.take(topic, message, header_ns(message) or now_ns)
         if any(topic == _CLOCK for _, topic, _ in found):
             # Now: the first messages take a while.
             self._ticked_s = time.monotonic()
+
+    def _take(self, topic: str, message: Any) -> None:
+        self._arrived_ns[topic] = self.now_ns
+        self._readings.take(topic, message, header_ns(message) or self.now_ns)
 
     def _tick(self, time_ns: int) -> None:
         if self._clock_ns is None:
             # Of what arrived before, no time was known.
             self._arrived_ns = dict.fromkeys(self._arrived_ns, time_ns)
         elif time_ns < self._clock_ns:
-            # A simulation has begun anew.
+            # A simulation has begun anew, and may have published before it ticked.
             self._arrived_ns.clear()
             self._readings.forget()
+            self._clock_ns = time_ns
+            for topic, message in self._since_tick.items():
+                if (header_ns(message) or 0) <= time_ns:
+                    self._take(topic, message)
         self._clock_ns = time_ns
+        self._since_tick.clear()
 
     def _is_event(self, topic: str) -> bool:
         """Whether a topic has a message when something happens, such as a goal, and not all the time."""

@@ -1,4 +1,4 @@
-"""The scan of a moment ago out of the scans and the frames of a bag, for policies that read `lidar_past`."""
+"""The scan of a moment ago out of scans and frames, for policies that read `lidar_past`."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -7,6 +7,7 @@ import numpy as np
 
 from dune_rl.geometry.arrays import Floats
 from dune_rl.ros.codecs.codec import MessageError
+from dune_rl.ros.codecs.scans import measured_ranges
 from dune_rl.ros.times import NS_PER_S
 from dune_rl.ros.transforms import Pose, TransformTree
 from dune_rl.sensors.lidar import LidarConf
@@ -31,7 +32,7 @@ class PastScans:
 
     def __init__(self, source: PastSource, odom: str, base: str) -> None:
         self.lidar = source.lidar
-        self._range_m, self._past_ns = source.conf.range_m, round(source.past_s * NS_PER_S)
+        self._conf, self._past_ns = source.conf, round(source.past_s * NS_PER_S)
         self._odom, self._base = odom, base
         self._past = PastScan(source.conf, 1, 0)
         # Times and end points, the oldest first.
@@ -40,11 +41,10 @@ class PastScans:
     def add(self, message: Any, time_ns: int, frames: TransformTree) -> None:
         """Keep a LaserScan that arrived at a time, when the robot was where `frames` say."""
         origin, rotation = self._pose(message.header.frame_id, frames)
-        ranges = np.asarray(message.ranges, np.float64)
+        ranges, _ = measured_ranges(np.asarray(message.ranges, np.float32), self._conf)
         angles = message.angle_min + np.arange(len(ranges)) * message.angle_increment
         ahead = np.stack([np.cos(angles), np.sin(angles), np.zeros(len(angles))], axis=-1)
-        # Written so that NaN, which compares false, is left out.
-        seen = (ranges >= 0.0) & (ranges < self._range_m)
+        seen = ranges < np.float32(self._conf.range_m)
         ends = origin + (ranges[seen, None] * ahead[seen]) @ rotation.T
         self._ends.append((time_ns, ends.astype(np.float32)))
 

@@ -71,6 +71,11 @@ class TaskConf(Settings):
                 raise ValueError(f"terminations.{name} cannot both truncate and renew the goal: choose one")
         return self
 
+    @property
+    def goal_reached_m(self) -> float | None:
+        """Distance at which a goal counts as reached [m]; None where none does."""
+        return getattr(self.terminations.get("goal_reached"), "distance_m", None)
+
 
 def walking_task() -> TaskConf:
     """The task of persons: reach the ends of the path, away from agents of other groups."""

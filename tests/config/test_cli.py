@@ -184,3 +184,17 @@ def test_environments_of_pettingzoo_and_gymnasium_do_without_pytorch() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines() == ["[]", "True"]
+
+
+def test_a_reader_that_has_enough_ends_a_command_without_a_word() -> None:
+    code = (
+        "from dune_rl.commands.command_line import PAGES, run_command\n"
+        "run_command(PAGES['view'], lambda words: print('a line\\n' * 100_000))"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None and process.stderr is not None
+        assert process.stdout.readline() == "a line\n"
+        process.stdout.close()
+        assert (process.stderr.read(), process.wait()) == ("", 141)

@@ -144,6 +144,14 @@ def test_names_of_folders_are_taken_as_they_are_typed(name: str) -> None:
     assert compose(Conf, ["+world=sdf", f"world.path={name}/site.sdf"]).world.path == f"{name}/site.sdf"
 
 
+def test_where_one_value_is_read_several_are_refused() -> None:
+    with pytest.raises(
+        ConfigError, match=r"^checkpoint=a,b has several values; give one, or quote the value$"
+    ):
+        override_value(["checkpoint=a,b"], "checkpoint")
+    assert override_value(["checkpoint=[a,b]"], "checkpoint") == ["a", "b"]
+
+
 def test_numbers_stay_numbers() -> None:
     conf = compose(Conf, ["+world=flat", "total_frames=1_000", "learning.tau=5e-3", "resume=null"])
     assert (conf.total_frames, conf.learning.tau, conf.resume) == (1000, 0.005, None)

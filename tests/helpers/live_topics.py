@@ -1,5 +1,6 @@
 """Topics within a test, in place of a network: what is written is kept, and what is read was put there."""
 
+import os
 import random
 from typing import Any
 
@@ -8,8 +9,10 @@ from dune_rl.ros.library import full_name, message_types
 
 
 def random_domain() -> int:
-    """A domain that tests beside this one hardly have; below those whose ports Linux lends to others."""
-    return random.SystemRandom().randrange(1, 100)
+    """A domain that no other test of this run has; below those whose ports Linux lends to others."""
+    number = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
+    share = 99 // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    return 1 + number * share + random.SystemRandom().randrange(share)
 
 
 class TopicBoard:

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from dune_rl import evaluate, export
+from dune_rl.commands.export import policy as policy_export
 from dune_rl.config.build import make_learning_env
 from dune_rl.config.commands import EvaluateConf
 from dune_rl.config.compose import compose
@@ -20,7 +22,7 @@ from dune_rl.evaluation.policies import PolicySource
 from dune_rl.learning.evaluation import evaluate as run_episodes
 from dune_rl.learning.group_policy import Deterministic, GroupPolicy
 from dune_rl.learning.networks.policy import BEGINS, MEMORY, Architecture, make_policy_network
-from dune_rl.learning.onnx_file import METADATA, sample_inputs, write_onnx
+from dune_rl.learning.onnx_file import METADATA, onnx_model, sample_inputs
 from dune_rl.learning.onnx_policy import OnnxPolicy
 from dune_rl.learning.policy_spec import PartSpec, PolicySpec
 
@@ -59,6 +61,28 @@ def test_a_published_policy_acts_equally(checkpoint: Path, folder: Path, call: C
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("weight", [0.5, float("nan")])
+def test_a_model_that_acts_otherwise_is_not_written(
+    weight: float, folder: Path, call: Call, capsys, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("onnxscript")
+    pytest.importorskip("onnxruntime")
+
+    def other_network(*args: Any) -> Any:
+        acting, model = onnx_model(*args)
+        with torch.no_grad():
+            for each in acting.parameters():
+                each.fill_(weight)
+        return acting, model
+
+    monkeypatch.setattr(policy_export, "onnx_model", other_network)
+    (folder / "policy.onnx").write_text("good")
+    assert call(export.main, f"checkpoint={FLAT}", "out=policy.onnx", "overwrite=true") == 2
+    assert "in ONNX the policy acts otherwise (by up to" in capsys.readouterr().err
+    assert (folder / "policy.onnx").read_text() == "good"
+
+
+@pytest.mark.slow
 def test_a_recurrent_policy_keeps_its_memory_outside(folder: Path) -> None:
     pytest.importorskip("onnxscript")
     spec = PolicySpec(
@@ -69,7 +93,8 @@ def test_a_recurrent_policy_keeps_its_memory_outside(folder: Path) -> None:
         {"camera": PartSpec((16, 16, 3), uint8=True, low=0.0, high=255.0)},
     )
     network = make_policy_network(spec, Architecture(hidden=(16,), recurrent=8))
-    acting = write_onnx(folder / "policy.onnx", network, spec, {})
+    acting, model = onnx_model(network, spec, {})
+    (folder / "policy.onnx").write_bytes(model)
     session = session_of(folder / "policy.onnx")
     assert [each.name for each in session.get_inputs()] == ["goal", "lidar", "camera", MEMORY]
     wanted_memory, memory = None, np.zeros((3, 1, 8), np.float32)
@@ -112,7 +137,7 @@ def test_a_recurrent_file_drives_as_its_network_does(folder: Path) -> None:
     env = make_learning_env(compose(EvaluateConf, words), 2, 0)
     spec = PolicySpec.of(env, "rover")
     network = make_policy_network(spec, Architecture(hidden=(16,), recurrent=8))
-    write_onnx(folder / "policy.onnx", network, spec, {})
+    (folder / "policy.onnx").write_bytes(onnx_model(network, spec, {})[1])
     plain = GroupPolicy("rover", spec, network)
     plain.watch(env)
     found = []

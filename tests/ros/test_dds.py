@@ -234,14 +234,16 @@ def test_a_policy_drives_a_scene_to_its_goal(network: NetworkConf) -> None:
         said.append,
         origin=network.where,
     )
-    summary = driver.run()
-    await_all(lambda: any("goal reached" in line for line in lines) or not running.is_alive())
-    stopped.set()
-    running.join()
-    simulation.close()
-    del driver, scene
-    for each in participants:
-        each.close()
+    try:
+        summary = driver.run(lambda: not running.is_alive())
+        await_all(lambda: any("goal reached" in line for line in lines) or not running.is_alive())
+    finally:
+        stopped.set()
+        running.join()
+        simulation.close()
+        del driver, scene
+        for each in participants:
+            each.close()
     assert summary.goals == 1 and summary.decisions > 10
     assert any("goal reached" in line for line in lines), lines
     assert "decisions in" in str(summary) and "(median)" in str(summary)

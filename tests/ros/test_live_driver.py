@@ -84,7 +84,7 @@ class Rig:
             np.full(32, 4.0, np.float32),
         )
         self.silent: set[str] = set()
-        self.late_s = 0.0
+        self.late_s, self.ticks_last = 0.0, False
 
     def run(self, turns: int, each_turn: Callable[[int], None] | None = None, **more: Any) -> LiveDriver:
         policy = DrivenPolicy(self._act, more.pop("interface", INTERFACE), Path("policy.pt"))
@@ -124,7 +124,9 @@ class Rig:
             if topic not in self.silent:
                 self.board.put(topic, message)
 
-        put("/clock", types.make("rosgraph_msgs/Clock", clock=types.time(now_ns)))
+        clock = types.make("rosgraph_msgs/Clock", clock=types.time(now_ns))
+        if not self.ticks_last:
+            put("/clock", clock)
         if self.turn == 0:
             mount = types.transform(types.header(0, "base_link"), "laser", _at(*self.mount))
             put("/tf_static", types.make("tf2_msgs/TFMessage", transforms=[mount]))
@@ -154,6 +156,8 @@ class Rig:
                 intensities=np.zeros(0, np.float32),
             ),
         )
+        if self.ticks_last:
+            put("/clock", clock)
 
     @property
     def commands(self) -> list[tuple[float, float]]:
@@ -311,8 +315,10 @@ def test_a_policy_without_the_distance_stops_at_the_goal_too() -> None:
     assert (summary.decisions, summary.goals) == (1, 1) and rig.seen[0].keys() == {"lidar", "velocity"}
 
 
-def test_a_simulation_that_begins_anew_is_followed() -> None:
+@pytest.mark.parametrize("ticks_last", [False, True])
+def test_a_simulation_that_begins_anew_is_followed(ticks_last: bool) -> None:
     rig = Rig()
+    rig.ticks_last = ticks_last
     restarted = iter([True])
 
     def restart(turn: int) -> None:

@@ -76,10 +76,13 @@ def test_a_sheet_and_a_film_are_made(call: Call, folder: Path, capsys: pytest.Ca
 
 
 @pytest.mark.slow
-def test_a_robot_on_legs_is_seen_with_all_sensors_but_odometry(call: Call, folder: Path) -> None:
+def test_a_robot_on_legs_is_seen_with_all_sensors_but_odometry(
+    call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert call(*TINY, "robot=hyperdog", "view=sheet") == 0
     assert (folder / "views" / "flat_sheet.png").is_file()
-    assert call(*TINY, "robot=hyperdog", "view=sheet", "sensors=[odometry]") != 0
+    assert call(*TINY, "robot=hyperdog", "view=sheet", "sensors=[odometry]") == 2
+    assert "odometry is of wheels, and this robot has none" in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -178,6 +181,7 @@ def test_the_episode_s_seed_is_not_the_training_s() -> None:
         (["view=live", "port=0"], "port must be at least 1 (got 0)"),
         (["frames_per_s=0"], "frames_per_s must be above 0.0 (got 0)"),
         (["agent=rover_7"], "agent: there is no agent 'rover_7'; did you mean rover_0?"),
+        (["agent=rover_7", "view=map"], "agent: there is no agent 'rover_7'; did you mean rover_0?"),
         (["set=flat-v1", "episode=200", "view=map"], "set=flat-v1 has the episodes 0 to 199"),
         (["set=flat-v1", "actors=none"], "set=flat-v1 determines actors; leave actors=none out"),
         (["-m", "seed=1,2"], "this command runs once; leave -m out"),

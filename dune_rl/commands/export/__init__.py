@@ -28,15 +28,19 @@ def run(words: Sequence[str]) -> None:
     if "policy" in subjects:
         from dune_rl.commands.export import policy
 
-        policy.export_policy(policy.parse_words(parsed.overrides))
-    else:
-        from dune_rl.commands.export import gazebo
-
-        conf = gazebo.compose_words(parsed)
+        conf = policy.parse_words(parsed.overrides)
         if parsed.cfg:
             command_line.print_settings(conf)
         else:
-            gazebo.export_scene(conf, with_world="world" in subjects, with_robots="robot" in subjects)
+            policy.export_policy(conf)
+    else:
+        from dune_rl.commands.export import gazebo
+
+        scene = gazebo.compose_words(parsed)
+        if parsed.cfg:
+            command_line.print_settings(scene)
+        else:
+            gazebo.export_scene(scene, with_world="world" in subjects, with_robots="robot" in subjects)
 
 
 def subjects_of(overrides: Sequence[str]) -> set[Subject]:

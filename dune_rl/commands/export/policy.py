@@ -13,12 +13,12 @@ from dune_rl.clients.policy_interface import PolicyInterface
 from dune_rl.commands import command_line
 from dune_rl.config.checks import validate
 from dune_rl.core.errors import ConfigError
-from dune_rl.core.files import check_free, sha256_of
+from dune_rl.core.files import check_free, sha256_of, write_atomically
 from dune_rl.core.settings import Settings
 from dune_rl.core.suggestions import split_word
 from dune_rl.core.version import VERSION
 from dune_rl.learning.checkpoint import read_policy_file
-from dune_rl.learning.onnx_file import ActingNetwork, check_exporter, sample_inputs, write_onnx
+from dune_rl.learning.onnx_file import ActingNetwork, check_exporter, onnx_model, sample_inputs
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.saved_policies import describe_selection, saved_policy_in
 
@@ -41,7 +41,7 @@ def parse_words(words: Sequence[str]) -> PolicyConf:
     """The settings among the words of a command line; `ConfigError` where they are not valid."""
     values = {}
     for word in words:
-        key, equals, values[key] = split_word(word)
+        key, equals, values[key] = split_word(word.lstrip("+"))
         if not equals:
             raise ConfigError(f"cannot read {word!r}; write key=value (see --help)")
     conf = validate(PolicyConf, values)
@@ -70,29 +70,32 @@ def export_policy(conf: PolicyConf) -> None:
         "sha256": sha256_of(file),
         **interface.model_dump(mode="json"),
     }
+    acting, model = onnx_model(saved.make_network(), saved.spec, description)
+    compared = _compare(model, acting, saved.spec)
     out.parent.mkdir(parents=True, exist_ok=True)
-    acting = write_onnx(out, saved.make_network(), saved.spec, description)
+    with write_atomically(out) as temporary:
+        temporary.write_bytes(model)
     action = " and ".join(each.name for each in interface.action)
     lines = [
         f"{out}: {group}, {description['policy']}",
         f"inputs: {', '.join(acting.inputs)}",
         f"outputs: {', '.join(acting.outputs)} ({action}), every {interface.decision_s:g} s",
-        _compare(out, acting, saved.spec),
+        compared,
     ]
     console = command_line.make_console()
     for line in lines:
         command_line.print_line(console, line)
 
 
-def _compare(out: Path, acting: ActingNetwork, spec: PolicySpec) -> str:
-    """A line on how far both act alike; raises ConfigError, after removing the file, where they do not."""
+def _compare(model: bytes, acting: ActingNetwork, spec: PolicySpec) -> str:
+    """A line on how far both act alike; raises ConfigError where they do not."""
     try:
         import onnxruntime
     except ImportError:
         return "not compared with the checkpoint: onnxruntime is not installed"
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
-    session = onnxruntime.InferenceSession(str(out), options, providers=["CPUExecutionProvider"])
+    session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
     most, generator_state = 0.0, torch.get_rng_state()
     # Components of a memory are between -1 and 1.
     ranges = [np.subtract(spec.high, spec.low) if name == "action" else 2.0 for name in acting.outputs]
@@ -103,18 +106,18 @@ def _compare(out: Path, acting: ActingNetwork, spec: PolicySpec) -> str:
             wanted = acting(*given)
         found = session.run(None, _inputs_by_name(acting, given))
         for one, other, size in zip(wanted, found, ranges, strict=True):
-            most = max(most, float((np.abs(one.numpy() - other) / size).max()))
+            # Not `max`, which passes over NaN.
+            most = float(np.maximum(most, (np.abs(one.numpy() - other) / size).max()))
     single = _inputs_by_name(acting, sample_inputs(acting, spec, 1))
     torch.set_rng_state(generator_state)
     begun = time.perf_counter()
     for _ in range(_TIMED):
         session.run(None, single)
     took_ms = 1e3 * (time.perf_counter() - begun) / _TIMED
-    if most > _TOLERANCE:
-        out.unlink()
+    if not most <= _TOLERANCE:
         raise ConfigError(
-            f"the file acted otherwise than the policy (by up to {most:.2g} of an action's range) and was "
-            "removed; keep to the checkpoint, and report this"
+            f"in ONNX the policy acts otherwise (by up to {most:.2g} of an action's range), so no file was "
+            "written; keep to the checkpoint, and report this"
         )
     return (
         f"actions differ by at most {most:.1g} of their range over {_COMPARED:,} observations; "

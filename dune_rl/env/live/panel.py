@@ -10,8 +10,7 @@ import numpy as np
 from PIL import Image
 
 from dune_rl.env.live.playback import Playback
-from dune_rl.geometry.arrays import Array
-from dune_rl.rendering.web.gltf import Bytes
+from dune_rl.geometry.arrays import Array, Bytes
 from dune_rl.rendering.web.server import Server
 
 _COLOURS = (

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from dune_rl.geometry.arrays import Array, Floats
+from dune_rl.geometry.arrays import Array, Bytes, Floats
 from dune_rl.geometry.frames import quaternions
 
 _MAGIC, _VERSION, _JSON, _BINARY = 0x46546C67, 2, 0x4E4F534A, 0x004E4942
@@ -23,8 +23,6 @@ _TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 _UNLIT = "KHR_materials_unlit"
 _REPEAT, _CLAMP = 10497, 33071
 _JPEG_QUALITY = 92
-
-Bytes = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, eq=False)

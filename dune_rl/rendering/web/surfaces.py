@@ -6,13 +6,13 @@ import numpy as np
 from PIL import Image
 from scipy import ndimage
 
-from dune_rl.geometry.arrays import Array, Flags, Floats
+from dune_rl.geometry.arrays import Array, Bytes, Flags, Floats
 from dune_rl.rendering.baked_scenery import BakedScenery, to_srgb_bytes
 from dune_rl.rendering.light import linear_to_srgb, srgb_to_linear
 from dune_rl.rendering.participating_media import TONES_FROM_BYTES
 from dune_rl.rendering.scenery import ColouredMesh, Segment
 from dune_rl.rendering.weather import Haze, Sky
-from dune_rl.rendering.web.gltf import Bytes, Surface
+from dune_rl.rendering.web.gltf import Surface
 
 # Of light in surfaces for viewers with a tone map of their own: the value 1 is this bright.
 GAIN = 2.0

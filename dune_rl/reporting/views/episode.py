@@ -1,6 +1,6 @@
 """An episode of one scene under a policy, its contact sheet, and a picture of the world."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,6 @@ from dune_rl.env.agent_group import AgentGroup
 from dune_rl.env.live.numbers import describe_agent
 from dune_rl.env.pictures import Pictures
 from dune_rl.env.requests import EpisodePlan
-from dune_rl.env.simulation import VectorSimulation
 from dune_rl.evaluation.policies import PolicySource
 from dune_rl.learning.group_policy import Policy
 from dune_rl.learning.saved_policies import load_policy
@@ -29,17 +28,17 @@ from dune_rl.visualization.contact_sheet import contact_sheet
 Picture = NDArray[np.uint8]
 
 
-def find_agent(simulation: VectorSimulation, name: str | None) -> tuple[AgentGroup, int]:
-    """The group of an agent and its index in it; by default the first external agent.
+def find_agent(groups: Sequence[AgentGroup], name: str | None) -> tuple[AgentGroup, int]:
+    """The group of an agent and its index in it; by default the first external agent, or the first of all.
 
     Raises ConfigError if there is no agent of that name.
     """
     if name is None:
-        return simulation.group(), 0
-    names = [agent for group in simulation.groups for agent in group.names]
+        return next((group for group in groups if group.is_external), groups[0]), 0
+    names = [agent for group in groups for agent in group.names]
     if name not in names:
         raise ConfigError(f"agent: there is no agent {name!r}; {advise(name, names)}")
-    group = next(group for group in simulation.groups if name in group.names)
+    group = next(group for group in groups if name in group.names)
     return group, group.names.index(name)
 
 
@@ -51,7 +50,7 @@ class EpisodeView:
         self._env = make_torchrl_env(conf, 1, conf.seed, plan=plan)
         self.simulation = self._env.simulation
         try:
-            self.group, self.row = find_agent(self.simulation, conf.agent)
+            self.group, self.row = find_agent(self.simulation.groups, conf.agent)
             self.make_policy = policy_factory(conf, self._env)
         except BaseException:
             self._env.close()

@@ -14,7 +14,6 @@ from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 
 from dune_rl.env.agent_group import AgentGroup
-from dune_rl.reporting.views.maps import goal_distance_m
 from dune_rl.reporting.views.tracks import TrackRecorder
 from dune_rl.tasks.spawn import Placement
 from dune_rl.visualization.site_map import colours, panel
@@ -139,7 +138,7 @@ class EvaluationTracks:
             world=world,
             spawner=group.spawners.of(world),
             max_slope_deg=group.setup.task.spawn.max_slope_deg,
-            goal_distance_m=goal_distance_m(group),
+            goal_distance_m=group.setup.task.goal_reached_m or 0.0,
             footprints=prop_footprints(world, len(colours.OBSTACLES)),
         )
         xmin, xmax, ymin, ymax = content.spawner.region

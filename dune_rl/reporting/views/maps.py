@@ -18,9 +18,10 @@ from dune_rl.env.requests import EpisodePlan
 from dune_rl.env.scene_manager import SceneManager
 from dune_rl.env.starts.episode_start import EpisodeStarter
 from dune_rl.env.starts.placement import draw_starts
+from dune_rl.evaluation.policies import checkpoint_name
 from dune_rl.geometry.arrays import Array
 from dune_rl.physics.interface import scene_maker
-from dune_rl.reporting.views.episode import SENSORS_OF_POLICIES, policy_factory
+from dune_rl.reporting.views.episode import SENSORS_OF_POLICIES, find_agent, policy_factory
 from dune_rl.reporting.views.tracks import TrackRecorder
 from dune_rl.sensors.conf import parse_sensors
 from dune_rl.tasks.spawn import Placement, SpawnConf
@@ -57,9 +58,7 @@ def map_content(conf: ViewConf, tracks: list[Track], plan: EpisodePlan | None = 
     groups = build_groups(setups, scenes)
     EpisodeStarter(groups, scenes).check(conf.seed, world, sets_starts=True)
     # The group whose region and free space the map shows: by default the first external one.
-    viewed = next((group for group in groups if conf.agent in group.names), None) or next(
-        (group for group in groups if group.is_external), groups[0]
-    )
+    viewed, _ = find_agent(groups, conf.agent)
     spawner = viewed.spawners.of(world)
 
     def place_robots(episode: int) -> list[Placement]:
@@ -78,7 +77,7 @@ def map_content(conf: ViewConf, tracks: list[Track], plan: EpisodePlan | None = 
         world=world,
         spawner=spawner,
         max_slope_deg=spawn.max_slope_deg,
-        goal_distance_m=goal_distance_m(viewed),
+        goal_distance_m=(0.0 if viewed.setup.task is None else viewed.setup.task.goal_reached_m) or 0.0,
         footprints=prop_footprints(world, len(OBSTACLES)),
         paths=_example_paths(groups),
         episodes=episodes,
@@ -89,13 +88,6 @@ def map_content(conf: ViewConf, tracks: list[Track], plan: EpisodePlan | None = 
 def _planned(plan: EpisodePlan, episode: int) -> list[Placement]:
     ways = [(one.start, one.goal) for one in plan.of(episode).request.values()]
     return [Placement(start[0], start[1], start[2] or 0.0, *goal) for start, goal in ways if start and goal]
-
-
-def goal_distance_m(group: AgentGroup) -> float:
-    """Distance at which a goal counts as reached [m]; 0 where none does."""
-    terminations = {} if group.setup.task is None else group.setup.task.terminations
-    distances = (each.distance_m for each in terminations.values() if hasattr(each, "distance_m"))
-    return float(next(distances, 0.0))
 
 
 def _example_paths(groups: tuple[AgentGroup, ...]) -> list[Array]:
@@ -163,8 +155,7 @@ def subtitle(conf: ViewConf) -> str:
     settings = ", ".join(f"{name} {_plain(value)}" for name, value in chosen.items() if value not in ((), []))
     policy: str | None = conf.policy
     if conf.checkpoint is not None:
-        path = Path(conf.checkpoint)
-        policy = f"policy of {path.name if path.suffix == '' else path.parent.name or path.stem}"
+        policy = f"policy of {checkpoint_name(Path(conf.checkpoint))}"
     head = f"{policy}, " if policy else ""
     shown = f"episode {conf.episode} of {conf.set}" if conf.set else f"episodes of seed {conf.seed}"
     return head + shown + (f"; world: {settings}" if settings else "")

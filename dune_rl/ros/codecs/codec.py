@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from dune_rl.core.errors import ConfigError
+from dune_rl.geometry.arrays import Bytes
 from dune_rl.geometry.frames import roll_pitch_yaw
 from dune_rl.ros.library import MessageTypes
 from dune_rl.ros.transforms import FrameMount, TransformTree
@@ -45,6 +46,20 @@ class Source:
 
     topic: str
     types: tuple[str, ...]
+
+
+def data_rows(message: Any, step: int, used: int) -> Bytes:
+    """The first `used` bytes of each row of an Image or a PointCloud2, (height, used).
+
+    `step` is the length of a row with what it is padded by. Raises MessageError where the data are shorter
+    than the message says.
+    """
+    data = np.asarray(message.data, np.uint8)
+    if step < used or len(data) < message.height * step:
+        raise MessageError(
+            f"it has {len(data)} bytes in rows of {step}, and needs {message.height} rows of at least {used}"
+        )
+    return data[: message.height * step].reshape(message.height, step)[:, :used]
 
 
 class SensorCodec:

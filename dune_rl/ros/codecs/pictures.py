@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from dune_rl.ros.codecs.codec import Channel, MessageError, SensorCodec, Source, Stamp
+from dune_rl.ros.codecs.codec import Channel, MessageError, SensorCodec, Source, Stamp, data_rows
 from dune_rl.ros.transforms import OPTICAL, FrameMount, Pose, TransformTree
 from dune_rl.sensors.camera import CameraConf
 from dune_rl.sensors.lens import Lens
@@ -95,9 +95,8 @@ class CameraCodec(SensorCodec):
         elif message.encoding != encoding:
             raise MessageError(f"its encoding is {message.encoding!r}, and {reading} needs {encoding!r}")
         stored = np.dtype(dtype).newbyteorder(">" if message.is_bigendian else "<")
-        rows = np.asarray(message.data, np.uint8).reshape(conf.height, message.step)
-        used = rows[:, : conf.width * channels * stored.itemsize]
-        values = np.frombuffer(used.tobytes(), stored).reshape(conf.height, conf.width, channels)[..., order]
+        rows = data_rows(message, message.step, conf.width * channels * stored.itemsize)
+        values = np.frombuffer(rows.tobytes(), stored).reshape(conf.height, conf.width, channels)[..., order]
         if output != "depth":
             return np.ascontiguousarray(values, _ENCODINGS[output][1])
         metres = values.astype(np.float32)

@@ -5,8 +5,17 @@ from typing import Any
 
 import numpy as np
 
-from dune_rl.geometry.arrays import Floats
-from dune_rl.ros.codecs.codec import Channel, MessageError, SensorCodec, Source, Stamp, topic_of, yaw_on_base
+from dune_rl.geometry.arrays import Flags, Floats
+from dune_rl.ros.codecs.codec import (
+    Channel,
+    MessageError,
+    SensorCodec,
+    Source,
+    Stamp,
+    data_rows,
+    topic_of,
+    yaw_on_base,
+)
 from dune_rl.ros.transforms import FrameMount, TransformTree
 from dune_rl.sensors.beams import bearings
 from dune_rl.sensors.lidar import LidarConf
@@ -17,6 +26,19 @@ _SCAN, _CLOUD = "sensor_msgs/LaserScan", "sensor_msgs/PointCloud2"
 # Of sensor_msgs/PointField: the number and the size of each NumPy type.
 _FIELD_TYPES = {"u1": 2, "f4": 7}
 _RANGE = "range"
+
+
+def measured_ranges(ranges: Floats, conf: LidarConf) -> tuple[Floats, Flags]:
+    """The ranges (B,) [m] that the sensor `conf` reads where a LaserScan has these, and which were measured.
+
+    By REP-117, -inf is nearer than can be measured, inf farther, and NaN no measurement. Nor is 0, which many
+    drivers write where nothing returns. What lies between it and range_min counts as near, to be safe. What
+    was not measured is `range_m`.
+    """
+    is_measured = (ranges > 0.0) | np.isneginf(ranges)
+    farthest, nearest = np.float32(conf.range_m), np.float32(conf.min_range_m)
+    found: Floats = np.clip(np.where(is_measured, ranges, farthest), nearest, farthest)
+    return found, is_measured
 
 
 class ScanCodec(SensorCodec):
@@ -80,18 +102,14 @@ class ScanCodec(SensorCodec):
                 f"{conf.fov_deg:g} degrees, have no beam of its {len(ranges)} over "
                 f"{np.rad2deg(abs(message.angle_increment) * len(ranges)):.0f} degrees"
             )
-        # REP-117: -inf is nearer than can be measured, inf farther, NaN no measurement. Nor is 0, which many
-        # drivers write where nothing returns. What lies between it and range_min counts as near, to be safe.
-        is_known = (ranges > 0.0) | np.isneginf(ranges)
+        known, is_known = measured_ranges(ranges, conf)
         blind = conf.n_segments - len(np.unique(segment[inside & is_known]))
         if blind:
             raise MessageError(
                 f"{blind} of the {conf.n_segments} segments of {self._name} have only NaN or 0, "
                 "no measurement; let the driver write inf where nothing returns (REP-117)"
             )
-        farthest, nearest = np.float32(conf.range_m), np.float32(conf.min_range_m)
-        known = np.clip(np.where(is_known, ranges, farthest), nearest, farthest)
-        found: Floats = np.full(conf.n_segments, farthest, np.float32)
+        found: Floats = np.full(conf.n_segments, conf.range_m, np.float32)
         np.minimum.at(found, segment[inside], known[inside])
         return found
 
@@ -162,7 +180,7 @@ class CloudCodec(SensorCodec):
             )
         names = {value: key for key, value in _FIELD_TYPES.items()}
         offsets = {each.name: (each.offset, names.get(each.datatype)) for each in message.fields}
-        data = np.asarray(message.data, np.uint8)
+        data = data_rows(message, message.row_step, message.width * message.point_step).tobytes()
 
         def column(name: str) -> Any:
             offset, kind = offsets.get(name, (0, None))
@@ -170,6 +188,8 @@ class CloudCodec(SensorCodec):
                 raise MessageError(
                     f"it has no field {name} of 32-bit floats or bytes; there are {', '.join(offsets)}"
                 )
+            if offset + np.dtype(kind).itemsize > message.point_step:
+                raise MessageError(f"its field {name} lies beyond its points of {message.point_step} bytes")
             layout = np.dtype(
                 {
                     "names": [name],
@@ -178,7 +198,7 @@ class CloudCodec(SensorCodec):
                     "itemsize": message.point_step,
                 }
             )
-            return np.frombuffer(data.tobytes(), layout)[name].reshape(*size, 1)
+            return np.frombuffer(data, layout)[name].reshape(*size, 1)
 
         if output == _RANGE and _RANGE not in offsets:
             axes = [column(axis).astype(np.float64) for axis in "xyz"]
