@@ -5,6 +5,7 @@ import errno
 import logging
 import os
 import re
+import select
 import shlex
 import shutil
 import signal
@@ -150,12 +151,15 @@ def run_command(page: HelpPage, body: Callable[[Sequence[str]], None]) -> NoRetu
 
 def _drop_unread_output() -> bool:
     """Whether nobody reads the output any more, as `head` does once it has enough; it goes nowhere then."""
-    try:
-        sys.stdout.flush()
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return True
-    return False
+    if not hasattr(select, "poll"):  # Windows
+        return False
+    output = sys.stdout.fileno()
+    poll = select.poll()
+    poll.register(output, 0)
+    is_unread = any(event & select.POLLERR for _, event in poll.poll(0))
+    if is_unread:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), output)
+    return is_unread
 
 
 # Signals whose exceptions were lost, until they are repeated.

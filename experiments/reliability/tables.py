@@ -38,6 +38,19 @@ def determinism_table(folder: Path) -> str:
     return "\n".join(lines)
 
 
+def evaluations_table(folder: Path) -> str:
+    """A Markdown table with a row for each evaluation of the same policies on the same set."""
+    lines = [
+        "| `processes` | nodes | CPUs for it | rows | minutes | SHA-256 of `episodes.csv` |",
+        "|---|---:|---:|---:|---:|---|",
+    ]
+    for row in read_csv(folder / "evaluations.csv"):
+        cells = [f"`{row['processes']}`", row["nodes"], row["cpus"], f"{int(row['rows']):,}"]
+        cells += [f"{int(row['seconds']) / 60:.0f}", f"`{row['sha256'][:12]}`"]
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
 def soak_table(folder: Path) -> str:
     """A Markdown table with a row for each segment."""
     rows = read_csv(folder / "soak.csv")
@@ -128,5 +141,5 @@ def _range(rows: list[dict[str, str]], name: str) -> str:
 
 if __name__ == "__main__":
     folder = Path(__file__).parent
-    tables = determinism_table, soak_table, kills_table, faults_table, strangers_table
+    tables = determinism_table, evaluations_table, soak_table, kills_table, faults_table, strangers_table
     print(*(make(folder) for make in tables), sep="\n\n")

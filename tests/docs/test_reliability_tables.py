@@ -12,6 +12,7 @@ STUDIES = Path(__file__).parents[2] / "experiments"
     ("page", "table"),
     [
         ("reliability/determinism", "determinism"),
+        ("reliability/evaluations", "evaluations"),
         ("reliability/soak", "soak"),
         ("reliability/faults", "kills"),
         ("reliability/faults", "faults"),
