@@ -1,11 +1,11 @@
 """Long driving over all worlds, robots, kinds of actors and engines, and what grows or breaks in it.
 
-`python experiments/reliability/soak.py FOLDER [steps=10000000] [rounds=10]` drives until `FOLDER/soak.csv`
-has so many control steps of all scenes, and goes on with what it has.
+`python experiments/reliability/soak.py FOLDER [steps=10000000] [rounds=10] [scenes=64] [turn=1000]` drives
+until `FOLDER/soak.csv` has so many control steps of all scenes, and goes on with what it has.
 
 A segment is a process of one engine that drives `rounds` rounds; the engines take turns. In a round every
-kind of actors has its turn in a world, with a robot and a driver, which differ from round to round. The first
-turn is the same in every round of a segment, so that its memory and speed can be compared. Each episode has a
+kind of actors has its turn of `turn` steps in a world, with a robot and a driver, which differ from round to
+round. The first turn is the same in every round of a segment, so that its memory and speed can be compared. Each episode has a
 new body and light, and with Bullet a new site.
 """
 
@@ -41,9 +41,9 @@ from dune_rl.learning.saved_policies import load_policy
 from dune_rl.physics.interface import OWN_ENGINES
 from dune_rl.physics.process import return_free_memory
 
-# As many steps of a scene as its longest episode has, so that each has new episodes in every turn.
 _SCENES, _STEPS = 64, 1_000
-_LIMITS = ("task.terminations.time_limit.max_steps=960",)
+# The longest episode's share of a turn, so that each scene has new episodes in every turn.
+_LONGEST = 0.96
 _POLICY = Path(__file__).parents[1] / "policies" / "all_worlds_1" / "policy.pt"
 _DRIVERS = ("random", "go_to_goal", "random", "oracle", "random", "mppi", "go_to_goal", "planner")
 # The published policy is of this robot.
@@ -71,7 +71,7 @@ class Turn:
     robot: str
     actors: str
     driver: str
-    scenes: int = _SCENES
+    scenes: int
     steps: int = 0
     episodes: int = 0
     cpu_s: float = 0.0
@@ -94,7 +94,8 @@ def main() -> None:
     folder = Path(sys.argv[1])
     given = dict(word.split("=", 1) for word in sys.argv[2:])
     if "segment" in given:
-        _drive_segment(folder, int(given["segment"]), int(given["rounds"]))
+        sizes = int(given.get("scenes", _SCENES)), int(given.get("turn", _STEPS))
+        _drive_segment(folder, int(given["segment"]), int(given["rounds"]), *sizes)
         return
     write_world_files(folder / "worlds")
     rounds, steps = int(given.get("rounds", 10)), int(given.get("steps", 10_000_000))
@@ -103,6 +104,7 @@ def main() -> None:
     while before < driven < steps:
         segment = 1 + max((int(row["segment"]) for row in _rows(folder)), default=-1)
         words = [sys.executable, __file__, str(folder), f"segment={segment}", f"rounds={rounds}"]
+        words += [f"{name}={given[name]}" for name in ("scenes", "turn") if name in given]
         subprocess.run(words, check=True, env={**os.environ, "DUNE_RL_CACHE": str(folder / "cache")})
         before, driven = driven, _steps(folder)
 
@@ -115,7 +117,7 @@ def _steps(folder: Path) -> int:
     return sum(int(row["steps"]) for row in _rows(folder))
 
 
-def _drive_segment(folder: Path, segment: int, rounds: int) -> None:
+def _drive_segment(folder: Path, segment: int, rounds: int, scenes: int, steps: int) -> None:
     torch.set_num_threads(1)
     warnings.simplefilter("ignore")
     engine, path = OWN_ENGINES[segment % len(OWN_ENGINES)], folder / "soak.csv"
@@ -128,13 +130,13 @@ def _drive_segment(folder: Path, segment: int, rounds: int) -> None:
             chosen = Combination(drawn.world, drawn.robot, engine, drawn.actors)
             turns.append((chosen, _driver_of(chosen, first + place), first + place))
         for chosen, driver, seed in turns:
-            turn = Turn(segment, engine, number, chosen.world, chosen.robot, chosen.actors, driver)
+            turn = Turn(segment, engine, number, chosen.world, chosen.robot, chosen.actors, driver, scenes)
             try:
                 try:
-                    _drive(turn, chosen, folder, seed)
+                    _drive(turn, chosen, folder, seed, steps)
                 except WorldError:
                     turn.world = ROOMY_WORLD
-                    _drive(turn, replace(chosen, world=ROOMY_WORLD), folder, seed)
+                    _drive(turn, replace(chosen, world=ROOMY_WORLD), folder, seed, steps)
             except DuneError as error:
                 turn.fault = f"{type(error).__name__}: {str(error).splitlines()[0]}"
             gc.collect()
@@ -155,26 +157,27 @@ def _driver_of(chosen: Combination, number: int) -> str:
     return drivers[number // 3 % len(drivers)]
 
 
-def _drive(turn: Turn, chosen: Combination, folder: Path, seed: int) -> None:
-    """Drive a turn in an environment of its own, and count into `turn`."""
+def _drive(turn: Turn, chosen: Combination, folder: Path, seed: int, steps: int) -> None:
+    """Drive a turn of so many steps in an environment of its own, and count into `turn`."""
     saved = read_policy_file(_POLICY)[1]["config"] if turn.driver == "policy" else None
     # The settings ask for a policy, which this script makes itself.
     words = [f"world={chosen.world}", *chosen.words(folder / "worlds"), "policy=random"]
     # DART never deletes the meshes of sites (experiments/memory), which would hide any other growth.
     has_new_sites = chosen.has_sites and chosen.engine != "dart"
-    words += ["randomisation=everything" if has_new_sites else "randomisation=body", *_LIMITS]
+    words += ["randomisation=everything" if has_new_sites else "randomisation=body"]
+    words += [f"task.terminations.time_limit.max_steps={round(_LONGEST * steps)}"]
     start = time.perf_counter()
     conf = compose(EvaluateConf, words, saved=saved)
-    env = make_learning_env(conf, _SCENES, seed)
+    env = make_learning_env(conf, turn.scenes, seed)
     try:
         policy = _policy(turn.driver, env, seed)
         observation = env.reset()
         turn.made_s = round(time.perf_counter() - start, 2)
         simulation, start = env.base_env.simulation, time.process_time()
         repeat = simulation.physics.action_repeat
-        for _ in range(_STEPS // repeat):
+        for _ in range(steps // repeat):
             after = env.step(policy(observation))
-            turn.steps += _SCENES * repeat
+            turn.steps += turn.scenes * repeat
             _examine(turn, simulation, after["next"])
             turn.episodes += int(after["next", "done"].sum())
             observation = env.maybe_reset(env.step_mdp(after))
