@@ -5,8 +5,8 @@ until `FOLDER/soak.csv` has so many control steps of all scenes, and goes on wit
 
 A segment is a process of one engine that drives `rounds` rounds; the engines take turns. In a round every
 kind of actors has its turn of `turn` steps in a world, with a robot and a driver, which differ from round to
-round. The first turn is the same in every round of a segment, so that its memory and speed can be compared. Each episode has a
-new body and light, and with Bullet a new site.
+round. The first turn is the same in every round of a segment, so that its memory and speed can be compared.
+Each episode has a new body and light, and with Bullet a new site.
 """
 
 import gc
