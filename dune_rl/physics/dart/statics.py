@@ -1,9 +1,13 @@
 """Static bodies of a DART scene."""
 
 import tempfile
+from collections import OrderedDict
 from collections.abc import Iterable, Sequence
+from hashlib import blake2b
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
+
+import numpy as np
 
 from dune_rl.core.errors import PhysicsError
 from dune_rl.geometry.arrays import Array
@@ -58,7 +62,7 @@ class StaticGeometry:
     """
 
     def __init__(
-        self, statics: Sequence[StaticBody], meshes: "CollisionMeshes", robots: Sequence[DartRobot]
+        self, statics: Sequence[StaticBody], meshes: "SharedMeshes", robots: Sequence[DartRobot]
     ) -> None:
         self.skeleton = dartpy.dynamics.Skeleton("statics")
         self.foot_ground = [self._add_body() for _ in robots]
@@ -153,17 +157,12 @@ def terrain_friction(statics: Iterable[StaticBody]) -> float:
 class CollisionMeshes:
     """Mesh shapes of static bodies, and the collision detector that holds their bounding volume trees.
 
-    DART 6.20 never deletes its copy of the triangles (`createMesh` in BulletCollisionDetector.cpp): 108 bytes
-    of each stay for every world that a process enters, see `experiments/memory`.
+    `meshes` are the corners (F, 3, 3) [m] of the triangles of each body.
     """
 
-    def __init__(self, statics: tuple[StaticBody, ...]) -> None:
-        # See `share_by_identity`.
-        self.statics = statics
+    def __init__(self, meshes: Sequence[Array]) -> None:
         self.detector = dartpy.collision.BulletCollisionDetector()
-        self.is_open = [is_open_surface(body) for body in statics]
-        meshes = [mesh_corners(body, is_open) for body, is_open in zip(statics, self.is_open, strict=True)]
-        self.shapes = self._load(meshes)
+        self.shapes = _load_shapes(meshes) if meshes else []
         # The detector drops meshes that are in no collision group.
         self._holder = dartpy.dynamics.Skeleton("meshes")
         body = self._holder.createWeldJointAndBodyNodePair()[1]
@@ -174,20 +173,56 @@ class CollisionMeshes:
         # The text of the files, and meshes of the worlds before.
         return_free_memory()
 
-    def _load(self, meshes: Sequence[Array]) -> list[Any]:
-        if not self.statics:
-            return []
-        with tempfile.TemporaryDirectory() as name:
-            folder = Path(name)
-            skeleton = parse_skeleton(write_meshes(meshes, folder), folder)
-            nodes = [] if skeleton is None else skeleton.getBodyNode(0).getShapeNodes()
-            if len(nodes) != len(self.statics):
-                raise PhysicsError(
-                    f"DART read {len(nodes)} of {len(self.statics)} meshes from {folder}; "
-                    "set TMPDIR to a folder with room"
-                )
-            return [node.getShape() for node in nodes]
+
+def _load_shapes(meshes: Sequence[Array]) -> list[Any]:
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        skeleton = parse_skeleton(write_meshes(meshes, folder), folder)
+        nodes = [] if skeleton is None else skeleton.getBodyNode(0).getShapeNodes()
+        if len(nodes) != len(meshes):
+            raise PhysicsError(
+                f"DART read {len(nodes)} of {len(meshes)} meshes from {folder}; "
+                "set TMPDIR to a folder with room"
+            )
+        return [node.getShape() for node in nodes]
 
 
-# The meshes of a tuple of statics, loaded once for all scenes with the same tuple.
-load_shared_meshes = share_by_identity(CollisionMeshes)
+# The last meshes that were loaded, by what is in them. DART 6.20 never deletes its copy of the triangles
+# (`createMesh` in BulletCollisionDetector.cpp): 108 bytes of each stay for every world that a process enters,
+# see `experiments/memory`, so that a world that is made anew had better find them.
+_MOST_KEPT = 16
+_kept: OrderedDict[bytes, CollisionMeshes] = OrderedDict()
+
+
+class SharedMeshes:
+    """The collision meshes of `statics`, and which of these are open surfaces."""
+
+    def __init__(self, statics: tuple[StaticBody, ...]) -> None:
+        # See `share_by_identity`.
+        self.statics = statics
+        self.is_open = [is_open_surface(body) for body in statics]
+        meshes = [mesh_corners(body, is_open) for body, is_open in zip(statics, self.is_open, strict=True)]
+        digest = blake2b()
+        for mesh in meshes:
+            digest.update(f"{mesh.shape}".encode() + np.ascontiguousarray(mesh).tobytes())
+        key = digest.digest()
+        if key not in _kept:
+            _kept[key] = CollisionMeshes(meshes)
+        _kept.move_to_end(key)
+        self._loaded = _kept[key]
+        while len(_kept) > _MOST_KEPT:
+            _kept.popitem(last=False)
+
+    @property
+    def detector(self) -> Any:
+        """The collision detector of all scenes with these meshes."""
+        return self._loaded.detector
+
+    @property
+    def shapes(self) -> list[Any]:
+        """The shape of each static body."""
+        return self._loaded.shapes
+
+
+# The meshes of a tuple of statics, found once for all scenes with the same tuple.
+load_shared_meshes = share_by_identity(SharedMeshes)
