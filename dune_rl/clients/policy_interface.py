@@ -13,7 +13,7 @@ from dune_rl.core.settings import Settings
 from dune_rl.env.articulated import carrier_of, vehicle_of
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.robots.settings import RobotSettings
-from dune_rl.sensors.conf import Sensors
+from dune_rl.sensors.conf import Sensors, describe_reading
 from dune_rl.state.unicycle import Unicycle
 
 _SPEED_AND_HEADING = ("speed_mps", "relative_heading_rad")
@@ -26,10 +26,11 @@ def _is_shape(value: tuple[int, ...]) -> tuple[int, ...]:
 
 
 class InputConf(Settings):
-    """A part of the observation."""
+    """A part of the observation; `meaning` has its units, and is empty in files of before."""
 
     shape: Annotated[tuple[int, ...], AfterValidator(_is_shape)]
     dtype: Literal["float32", "uint8"]
+    meaning: str = ""
 
 
 class ActionConf(Settings):
@@ -76,7 +77,11 @@ class PolicyInterface(Settings):
         return cls(
             group=group,
             observation={
-                key: InputConf(shape=part.shape, dtype="uint8" if part.uint8 else "float32")
+                key: InputConf(
+                    shape=part.shape,
+                    dtype="uint8" if part.uint8 else "float32",
+                    meaning=describe_reading(sensors, key),
+                )
                 for key, part in parts.items()
             },
             action=tuple(

@@ -1,5 +1,7 @@
 """The sensors of an agent group: settings by name, in the order of the observation."""
 
+import inspect
+import re
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
@@ -99,3 +101,18 @@ def check_timing(sensors: Mapping[str, SensorSettings], step_s: float, path: str
                 conf.realism.steps(step_s)
             except ValueError as error:
                 raise ValueError(f"{path}.{name}.realism: {error}") from None
+
+
+def describe_reading(sensors: Mapping[str, SensorSettings], key: str) -> str:
+    """What the reading `key` is, with its units: the first line of its sensor's documentation.
+
+    A sensor with several readings, as `camera_rgb` and `camera_depth`, is described as a whole.
+    """
+    name = next((each for each in (key, key.rpartition("_")[0]) if each in sensors), None)
+    if name is None:
+        return ""
+    text = inspect.getdoc(SENSORS.part_of(sensors[name]).target) or ""
+    line = text.partition("\n")[0].rstrip(".")
+    # The package's own begin with "The reading `name`, (N, n_segments) [m]: ".
+    own = re.match(r"The readings? .*?\(N[^)]*\)( \[[^]]+\])?[^:]*: (.+)", line)
+    return line if own is None else f"{own[2]}{own[1] or ''}"

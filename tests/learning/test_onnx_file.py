@@ -55,6 +55,8 @@ def test_a_published_policy_acts_equally(checkpoint: Path, folder: Path, call: C
     described = json.loads(session.get_modelmeta().custom_metadata_map[METADATA])
     assert [each["name"] for each in described["action"]] == ["speed_mps", "relative_heading_rad"]
     assert described["decision_s"] == (0.2 if "policies" in str(checkpoint) else 0.05)
+    assert all(part["meaning"] for part in described["observation"].values())
+    assert "[m]" in described["observation"]["lidar"]["meaning"]
     assert {each.name: each.shape[1:] for each in session.get_inputs()} == {
         key: part["shape"] for key, part in described["observation"].items()
     }

@@ -1,6 +1,5 @@
 """The datasheet of a dataset: a short Markdown text on its origin, extent, columns and limits."""
 
-import inspect
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,7 +9,7 @@ import numpy as np
 from dune_rl.config.commands import EvaluateConf
 from dune_rl.evaluation.columns import describe_columns
 from dune_rl.evaluation.datasets.transitions import info_columns
-from dune_rl.sensors.registry import SENSORS
+from dune_rl.sensors.conf import describe_reading
 
 Row = Mapping[str, Any]
 
@@ -26,6 +25,10 @@ def write_datasheet(
     """The text, of the settings, the `origin` and the `rows` of the episodes, and how many `transitions`."""
     assert conf.dataset is not None
     name, policy = conf.dataset, origin["policy"]
+    sensors = conf.external_groups[0].sensors or {}
+    meanings = {
+        key: describe_reading(sensors, key).replace("|", "\\|") or f"sensor `{key}`" for key in observation
+    }
     lines = [
         f"# {name}",
         "",
@@ -49,7 +52,7 @@ def write_datasheet(
         "",
         "| column | shape | type | lowest | highest | meaning |",
         "|---|---|---|---|---|---|",
-        *(_box_row(f"observations/{key}", space, _sensor(conf, key)) for key, space in observation.items()),
+        *(_box_row(f"observations/{key}", space, meanings[key]) for key, space in observation.items()),
         _box_row("actions", action, "speed [m/s] and relative heading [rad], or the robot's own commands"),
         "| rewards | () | float32 | | | reward of the step, by the task's settings |",
         "| terminations | () | bool | | | the episode ended by the task, as at a goal or a collision |",
@@ -136,16 +139,6 @@ def _extent(rows: Sequence[Row]) -> list[str]:
 def _box_row(name: str, space: Any, meaning: str) -> str:
     low, high = f"{space.low.min():.4g}", f"{space.high.max():.4g}"
     return f"| {name} | {space.shape} | {space.dtype} | {low} | {high} | {meaning} |"
-
-
-def _sensor(conf: EvaluateConf, key: str) -> str:
-    """The first line of the documentation of the sensor that gives the reading `key`."""
-    settings = (conf.external_groups[0].sensors or {}).get(key)
-    # Sensors with several readings, such as camera_rgb and camera_depth, describe them in the reference.
-    text = "" if settings is None else inspect.getdoc(SENSORS.part_of(settings).target) or ""
-    line = text.partition("\n")[0].rstrip(".").replace("|", "\\|")
-    # The package's own begin with "The reading `name`, (N, 2): ".
-    return (line.partition("): ")[2] or line.partition("]: ")[2] or line) or f"sensor `{key}`"
 
 
 def _described(rows: Sequence[Row]) -> list[dict[str, str]]:
