@@ -1,6 +1,7 @@
 """Collision meshes in DART, whose copies the engine never deletes: those of equal worlds are one."""
 
 import numpy as np
+
 from dune_rl.physics.dart import statics
 from dune_rl.physics.dart.statics import load_shared_meshes
 from dune_rl.physics.shapes import StaticBody
