@@ -16,6 +16,8 @@ from dune_rl.rendering.web.server import Server
 _COLOURS = (
     "#2f80ed", "#eb5757", "#27ae60", "#f2994a", "#9b51e0", "#00a6a6", "#c2185b", "#8d6e63", "#607d8b",
 )  # fmt: skip
+# The metric that is plotted first.
+_PLOTTED = "clearance"
 # Folders before the state have lower numbers.
 STATE_ORDER = 10
 _WIDTH_PX, _PLOT_PX = 340, 190
@@ -45,6 +47,7 @@ class Panel:
         with gui.add_folder("State", order=STATE_ORDER):
             self._state = gui.add_html("")
         self._plot: Any = None
+        self._metric_plot: Any = None
         self._reward_folder = gui.add_folder("Rewards so far", visible=False, order=STATE_ORDER + 1)
         self._camera_folder = gui.add_folder("Camera", visible=False, order=STATE_ORDER + 2)
         with self._camera_folder:
@@ -53,7 +56,8 @@ class Panel:
             "Metrics", visible=False, expand_by_default=False, order=STATE_ORDER + 3
         )
         with self._metric_folder:
-            self._metrics = gui.add_html("")
+            self._metrics = gui.add_html("", order=1)
+            self._plotted = gui.add_dropdown("Plot", ("-",), order=2)
         with gui.add_folder("Show", order=STATE_ORDER + 4):
             self._beams = gui.add_checkbox("LiDAR", True, hint="yellow rays in a plane, blue points of rings")
             self._ways = gui.add_checkbox("Ways of actors", True, hint="grey; that of the agent is orange")
@@ -86,10 +90,24 @@ class Panel:
         _assign(self._headline, f"**{headline}**" if headline else "")
         _assign(self._state, _table([*rows, ("time runs at", f"{speed:g} x real time")]))
 
-    def show_metrics(self, values: Mapping[str, float]) -> None:
-        """Show the metrics of the episode so far."""
+    def show_metrics(self, times_s: Array, values: Mapping[str, Array]) -> None:
+        """Show the metrics (T,) of the episode so far at `times_s` (T,): the last ones, and the curve of one."""
         self._metric_folder.visible = bool(values)
-        _assign(self._metrics, _table([(name, _number(value)) for name, value in values.items()]))
+        if not values:
+            return
+        _assign(self._metrics, _table([(name, _number(curve[-1])) for name, curve in values.items()]))
+        if self._plotted.options != (names := tuple(values)):
+            self._plotted.options = names
+            self._plotted.value = _PLOTTED if _PLOTTED in names else names[0]
+        curve = values[str(self._plotted.value)]
+        # Until a metric is defined, it is not a number.
+        is_known = np.isfinite(curve)
+        data = times_s[is_known], curve[is_known]
+        if self._metric_plot is None:
+            with self._metric_folder:
+                self._metric_plot = self._add_plot(data, ("so far",), order=3)
+        else:
+            self._metric_plot.data = data
 
     def show_picture(self, picture: Bytes) -> None:
         """Show a camera's picture (rows, columns, 3)."""
@@ -109,7 +127,7 @@ class Panel:
         elif self._plot is not None:
             self._plot.data = data
 
-    def _add_plot(self, data: tuple[Array, ...], names: tuple[str, ...]) -> Any:
+    def _add_plot(self, data: tuple[Array, ...], names: tuple[str, ...], order: float | None = None) -> Any:
         from viser import uplot
 
         lines = (
@@ -124,6 +142,7 @@ class Panel:
             legend=uplot.Legend(live=False),
             height=_PLOT_PX,
             padding=(8, 8, 0, 0),
+            order=order,
         )
 
 

@@ -181,7 +181,7 @@ class LivePage:
         self._is_begun = False
         self._numbers_due_s = 0.0
         self._times_s: list[float] = []
-        self._sums: list[Array] = []
+        self._values: list[Array] = []
         self.server.on_client_connect(self._welcome)
 
     def _welcome(self, client: Any) -> None:
@@ -197,7 +197,7 @@ class LivePage:
     def show(self, more: Sequence[tuple[str, str]] = (), headline: str = "") -> None:
         """Show the present state; `more` are names and values for the table beside those of the agent."""
         if not self._is_begun or not self._simulation.steps[0]:
-            self._times_s, self._sums = [], []
+            self._times_s, self._values = [], []
             self._numbers_due_s = 0.0
             self.scene_view.begin()
         with self.server.atomic():
@@ -216,19 +216,17 @@ class LivePage:
         values = simulation.metrics(name)[0, self._row]
         time_s = float(simulation.steps[0]) * simulation.physics.control_step_s
         self._times_s.append(time_s)
-        is_term = [each.startswith(_TERM) for each in names]
-        self._sums.append(values[is_term])
+        self._values.append(values)
         now = time.monotonic()
         if now < self._numbers_due_s and not headline and not self.playback.is_paused:
             return
         self._numbers_due_s = now + 1.0 / _NUMBERS_PER_S
         rows = describe_agent(simulation, self._group, self._row, time_s)
         self.panel.show_state(headline, [*more, *rows])
-        found = zip(names, values.tolist(), strict=True)
-        self.panel.show_metrics({each: value for each, value in found if "/" not in each})
-        terms = [each.removeprefix(_TERM) for each in names if each.startswith(_TERM)]
-        sums = dict(zip(terms, np.array(self._sums).T, strict=True))
-        self.panel.show_rewards(np.array(self._times_s), sums)
+        times_s, curves = np.array(self._times_s), dict(zip(names, np.array(self._values).T, strict=True))
+        self.panel.show_metrics(times_s, {each: curve for each, curve in curves.items() if "/" not in each})
+        sums = {each.removeprefix(_TERM): curve for each, curve in curves.items() if each.startswith(_TERM)}
+        self.panel.show_rewards(times_s, sums)
         readings = simulation.observe(name)
         picture = next((value for each, value in readings.items() if each.endswith("_rgb")), None)
         if picture is not None:
