@@ -18,6 +18,7 @@ STUDIES = Path(__file__).parents[2] / "experiments"
         ("reliability/faults", "faults"),
         ("reliability/strangers", "strangers"),
         ("scaling/README", "scaling"),
+        ("datasets/README", "datasets"),
     ],
 )
 def test_the_page_has_the_table_of_its_rows(page: str, table: str, monkeypatch: pytest.MonkeyPatch) -> None:
