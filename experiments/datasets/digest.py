@@ -1,7 +1,7 @@
-"""Prints a row for a local Minari dataset: its extent, the success of its driver, and a digest of its content.
+"""Prints a row for a local Minari dataset: its extent, its driver's success, and a digest of its content.
 
-`python experiments/datasets/digest.py NAME ...`; the digest is SHA-256 over the arrays of all episodes in their
-order, each by name, type and shape, so that it does not depend on how HDF5 stores them.
+`python experiments/datasets/digest.py NAME ...`; the digest is SHA-256 over the arrays of all episodes in
+their order, each by name, type and shape, so that it does not depend on how HDF5 stores them.
 """
 
 import csv

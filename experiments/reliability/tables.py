@@ -13,6 +13,8 @@ _COUNTS = ("steps", *_COMPARED, *(f"{name}_of" for name in _COMPARED))
 # Of a run of kills.py.
 _TOTAL_FRAMES = 3072
 _OF_STRANGERS = ("mutants", "attacks", "accepted", "refused", "defects")
+# Of the segments that compare rounds.
+_FEW_SCENES = 8
 _SUMS = ("steps", "episodes", "cpu_s", "nan", "fallen", "diverged")
 
 
@@ -134,6 +136,24 @@ def strangers_table(folder: Path) -> str:
     return "\n".join(lines)
 
 
+def rounds_table(folder: Path) -> str:
+    """A Markdown table of the memory in each round of few scenes [MiB]: mean, and after the first turn."""
+    rows = [row for row in read_csv(folder / "soak.csv") if int(row["scenes"]) == _FEW_SCENES]
+    rounds = range(1 + max(int(row["round"]) for row in rows))
+    lines = [
+        f"| segment | commit | {' | '.join(f'round {number + 1}' for number in rounds)} |",
+        f"|---|---|{'---:|' * len(rounds)}",
+    ]
+    for number in dict.fromkeys(row["segment"] for row in rows):
+        own = [row for row in rows if row["segment"] == number]
+        cells = [f"{number}, {own[0]['engine']}", own[0]["commit"][:8]]
+        for each in rounds:
+            held = [float(row["held_mib"]) for row in own if int(row["round"]) == each]
+            cells.append(f"{sum(held) / len(held):.0f} ({held[0]:.0f})" if held else "")
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
 def _range(rows: list[dict[str, str]], name: str) -> str:
     numbers = [int(row[name]) for row in rows]
     return f"{min(numbers)} to {max(numbers)}" if min(numbers) < max(numbers) else str(numbers[0])
@@ -141,5 +161,13 @@ def _range(rows: list[dict[str, str]], name: str) -> str:
 
 if __name__ == "__main__":
     folder = Path(__file__).parent
-    tables = determinism_table, evaluations_table, soak_table, kills_table, faults_table, strangers_table
+    tables = (
+        determinism_table,
+        evaluations_table,
+        soak_table,
+        rounds_table,
+        kills_table,
+        faults_table,
+        strangers_table,
+    )
     print(*(make(folder) for make in tables), sep="\n\n")

@@ -14,6 +14,7 @@ STUDIES = Path(__file__).parents[2] / "experiments"
         ("reliability/determinism", "determinism"),
         ("reliability/evaluations", "evaluations"),
         ("reliability/soak", "soak"),
+        ("reliability/soak", "rounds"),
         ("reliability/faults", "kills"),
         ("reliability/faults", "faults"),
         ("reliability/strangers", "strangers"),

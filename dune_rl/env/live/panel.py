@@ -91,7 +91,7 @@ class Panel:
         _assign(self._state, _table([*rows, ("time runs at", f"{speed:g} x real time")]))
 
     def show_metrics(self, times_s: Array, values: Mapping[str, Array]) -> None:
-        """Show the metrics (T,) of the episode so far at `times_s` (T,): the last ones, and the curve of one."""
+        """Show the metrics (T,) of the episode so far at `times_s` (T,), and the curve of one."""
         self._metric_folder.visible = bool(values)
         if not values:
             return
