@@ -51,7 +51,7 @@ def _run_on_folder(parsed: Namespace, action: str) -> None:
             f"(it takes {allowed[1]}={'FOLDER' if action == 'join' else 'N'})"
         )
     folder = Path(str(override_value(parsed.overrides, action)))
-    if not folder.is_dir():
+    if not folder.exists():
         raise ConfigError(f"{action}={folder}: there is no such folder")
     given = override_value(parsed.overrides, "policy")
     trusted = [str(each) for each in (given if isinstance(given, list) else [given])]

@@ -62,7 +62,7 @@ def test_commands_compose(command: str) -> None:
 
 
 def test_every_part_of_the_page_was_found() -> None:
-    assert len(snippets()) == 9 and len(COMMANDS) == 3
+    assert len(snippets()) == 9 and len(COMMANDS) == 4
     for link in re.findall(r"\]\((\.\./[^)#]*)", PAGE.read_text()):
         assert (PAGE.parent / link).exists(), link
 
