@@ -24,6 +24,8 @@ Picture = NDArray[np.uint8]
 
 _BEHIND_M, _ABOVE_M, _LOOK_AHEAD_M = 2.6, 1.35, 0.9
 _CLEAR_OF_GROUND_M, _CLEAR_OF_WALLS_M = 0.35, 0.15
+# The point of an agent that is to be seen, and how near to it a ray must come.
+_SEEN_B, _IN_SIGHT_M = np.array([0.0, 0.0, 0.45]), 0.05
 _NEAREST_EYE_M, _FARTHEST_EYE_M = 0.9, 3.0
 # Bodies up to this height are seen from the same place.
 _USUAL_HEIGHT_M = 0.5
@@ -214,9 +216,20 @@ class Pictures:
     def _ground(self, scene: int, xy: Array) -> float:
         return float(self._simulation.worlds.worlds[scene].terrain.height(xy))
 
+    def is_in_sight(self, scene: int, position: Array, eye: Array) -> bool:
+        """Whether an agent at `position` (3,) [m] is in sight of `eye` (3,), past ground and props."""
+        start = position + _SEEN_B
+        way = eye - start
+        length = float(np.linalg.norm(way))
+        reach = np.array([length], np.float32)
+        self.scenery(scene)[0].rays.shorten_ranges(
+            start[None].astype(np.float32), (way / max(length, 1e-9))[None].astype(np.float32), reach
+        )
+        return bool(reach[0] >= length - _IN_SIGHT_M)
+
     def free_eye(self, scene: int, position: Array, eye: Array, farthest_m: float) -> Array:
         """The point nearest to `eye` from which an agent at `position` is in sight, above the ground."""
-        start = position + np.array([0.0, 0.0, 0.45])
+        start = position + _SEEN_B
         # From behind; where a wall leaves no room there, from ever higher up.
         ways = eye - start + np.outer([0.0, 1.0, 2.5, 40.0], [0.0, 0.0, _ABOVE_M])
         lengths = np.linalg.norm(ways, axis=1).astype(np.float32)

@@ -97,6 +97,15 @@ def test_the_view_is_never_from_behind_a_wall(behind_m, monkeypatch):
         np.testing.assert_allclose(eye, eye_behind(RoverInWorld(plain()).pictures, monkeypatch))
 
 
+def test_an_eye_behind_a_wall_or_in_the_ground_has_no_sight_of_the_robot():
+    pictures = RoverInWorld(plain(box(2.0, 0.0, 0.2, 6.0, 2.0))).pictures
+    position = np.array([0.0, 0.0, 0.125])
+    seen = [pictures.is_in_sight(0, position, np.array(eye)) for eye in ((4.0, 0.0, 1.0), (-4.0, 0.0, 1.0))]
+    assert seen == [False, True]
+    assert not pictures.is_in_sight(0, position, np.array([-4.0, 0.0, -1.0]))
+    assert pictures.is_in_sight(0, position, np.array([4.0, 0.0, 6.0]))
+
+
 def test_the_view_is_never_from_inside_the_ground(monkeypatch):
     rng = np.random.default_rng(3)
     world = plain(heights=rng.normal(0.0, 0.8, (11, 11)))

@@ -86,6 +86,13 @@ class SceneView:
         reach_m = float(np.linalg.norm(eye - self.position))
         return self.pictures.free_eye(0, self.position, eye, reach_m), self.target
 
+    def free_eye(self, eye: Array) -> Array:
+        """`eye` (3,) [m], or a point near it where something hides the agent from there."""
+        pictures, position = self.pictures, self.position
+        if pictures.is_in_sight(0, position, eye):
+            return eye
+        return pictures.free_eye(0, position, eye, float(np.linalg.norm(eye - position)))
+
     def update(self, *, shows_beams: bool = True, shows_ways: bool = True) -> None:
         """Show the present state."""
         self._web.show_bodies(self.pictures.bodies_by_name(0) | self._goal_arrow())
@@ -207,7 +214,7 @@ class LivePage:
             for client in self.server.get_clients().values():
                 self._welcome(client)
         elif self.panel.follows or not self._simulation.steps[0]:
-            self._web.follow(self.scene_view.target)
+            self._web.follow(self.scene_view.target, self.scene_view.free_eye)
         self._show_numbers(more, headline)
 
     def _show_numbers(self, more: Sequence[tuple[str, str]], headline: str) -> None:

@@ -1,6 +1,7 @@
 """The scene of a live view as nodes of viser: what stands still once, what moves by its poses."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -29,6 +30,8 @@ _SHADOW = 0.45
 # Haze of this optical depth hides a surface.
 _HIDING_DEPTH = 3.0
 _FOV_RAD = 0.9
+# A browser may report a position of its camera so many steps late.
+_MOST_GIVEN = 60
 _GRASS = {"/world/grass_in_sun": True, "/world/grass_in_shade": False}
 
 
@@ -50,10 +53,13 @@ class _Part:
 
 @dataclass
 class _Visit:
-    """The first position (3,) of a visitor's camera, and the offset (3,) of `show_to` from its target [m]."""
+    """The first position (3,) of a visitor's camera, the offset (3,) from its target [m] that the visitor
+    chose, or else that of `show_to`, and the last positions that the camera was given.
+    """
 
     first: Array
     offset: Array
+    given: deque[Array] = field(default_factory=lambda: deque(maxlen=_MOST_GIVEN))
 
 
 class WebScene:
@@ -215,17 +221,27 @@ class WebScene:
         visit.offset = eye - target
         camera.position, camera.look_at = eye, target
 
-    def follow(self, target: Array) -> None:
-        """Let all who look see `target` (3,) [m], from the side and the distance that each has chosen."""
+    def follow(self, target: Array, free_eye: Callable[[Array], Array]) -> None:
+        """Let all who look see `target` (3,) [m], from the side and the distance that each has chosen.
+
+        `free_eye` moves an eye (3,) [m] to where nothing hides the target.
+        """
         for number, client in self._server.get_clients().items():
             camera, visit = client.camera, self._visits.get(number)
             if visit is None:
                 continue
-            # A slow browser reports its first position again, after it was given another.
-            is_late = np.allclose(camera.position, visit.first, atol=1e-4)
-            if is_late or not np.allclose(camera.look_at, target, atol=1e-4):
-                offset = visit.offset if is_late else camera.position - camera.look_at
-                camera.position, camera.look_at = target + offset, target
+            # A slow browser reports earlier positions again, after it was given another.
+            earlier = np.array([visit.first, *visit.given])
+            is_ours = bool((np.abs(earlier - camera.position).max(axis=1) < 1e-3).any())
+            if not is_ours:
+                visit.offset = camera.position - camera.look_at
+            eye = free_eye(target + visit.offset)
+            visit.given.append(eye)
+            if not (
+                np.allclose(camera.look_at, target, atol=1e-4)
+                and np.allclose(camera.position, eye, atol=1e-4)
+            ):
+                camera.position, camera.look_at = eye, target
 
 
 def _glb(surfaces: Sequence[Surface]) -> bytes:
