@@ -189,3 +189,19 @@ def test_the_goal_is_beyond_the_agent_in_the_first_view(open_session: Open) -> N
     to_goal = group.starts.goals_w[0] - group.body.motion.position_w[0, :2]
     seen = (camera.look_at - camera.position)[:2]
     np.testing.assert_allclose(seen / np.linalg.norm(seen), to_goal / np.linalg.norm(to_goal), atol=1e-6)
+
+
+def test_the_metric_that_was_chosen_is_plotted_over_the_episode(open_session: Open) -> None:
+    session = open_session("policy=go_to_goal", "seed=4")
+    session.page.playback.is_paused = True
+    panel = session.page.panel
+    positions(session, 4)
+    assert panel._plotted.value == "clearance" and "steps" in panel._plotted.options
+    panel._plotted.value = "steps"
+    positions(session, 2)
+    times_s, steps = panel._metric_plot.data
+    np.testing.assert_allclose(steps, np.arange(7), atol=1e-6)
+    np.testing.assert_allclose(times_s, 0.05 * np.arange(7), atol=1e-6)
+    # Of an episode that begins nothing is left of the one before.
+    session.begin()
+    assert len(panel._metric_plot.data[0]) == 1
