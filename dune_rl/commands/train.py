@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import re
 import shutil
 import signal
 import sys
@@ -97,7 +98,13 @@ def _run_hydra(words: Sequence[str]) -> None:
 
 
 def _explain(message: str, words: Sequence[str]) -> str:
-    """Hydra's message with the settings of Hydra's own that it may be about, which it does not name."""
+    """Hydra's message with what it does not name: a missing plugin, or the settings of Hydra's own."""
+    if plugin := re.search(r"Could not find 'hydra/(launcher|sweeper)/(\w+)'", message):
+        kind, name = plugin.groups()
+        return (
+            f"hydra/{kind}={name}: there is no such {kind} here; pip install 'dune_rl[sweeps]' has joblib, "
+            "submitit and Optuna, and docs/how_to/cluster.md says how to install Ray's"
+        )
     own = [word for word in words if word.lstrip("+~").startswith("hydra.")]
     if not own:
         return message

@@ -222,6 +222,9 @@ def test_a_sweep_gives_each_job_its_folder_and_outlives_a_failure(
          "resume=FOLDER goes on with one run; write resume=auto, or leave -m out\n"),
         (train, ["-m", "+world=flat", "run_dir=run", "seed=1,2"],
          "run_dir names the folder of one run; with -m write hydra.sweep.dir=FOLDER\n"),
+        (train, ["-m", "+world=flat", "hydra/launcher=cluster"],
+         "hydra/launcher=cluster: there is no such launcher here; pip install 'dune_rl[sweeps]' has joblib, "
+         "submitit and Optuna, and docs/how_to/cluster.md says how to install Ray's\n"),
         (train, ["--wrold"], "there is no flag --wrold; settings are written key=value (see --help)\n"),
         (evaluate, ["policy=random", "+world=flat", "out=file/rows"],
          "cannot write file/rows: file is a file; choose another place\n"),
