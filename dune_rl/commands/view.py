@@ -87,10 +87,14 @@ def _stem(conf: ViewConf) -> str:
 
 
 def _film_stem(conf: ViewConf) -> str:
-    """Also the seed, and the episode if it is not the first; a set has one seed."""
-    if conf.set is not None:
-        return _stem(conf)
-    return f"{_stem(conf)}_seed{conf.seed}" + (f"_episode{conf.episode}" if conf.episode else "")
+    """Also the seed, the episode if it is not the first, and the policy; a set has one seed."""
+    parts = [_stem(conf)]
+    if conf.set is None:
+        parts += [f"seed{conf.seed}", *([f"episode{conf.episode}"] if conf.episode else [])]
+    if conf.checkpoint is None:
+        return "_".join([*parts, conf.policy or "go_to_goal"])
+    path = Path(conf.checkpoint).resolve()
+    return "_".join([*parts, path.name if path.is_dir() else f"{path.parent.name}_{path.stem}"])
 
 
 def _view(conf: ViewConf, plan: "EpisodePlan | None") -> None:

@@ -13,6 +13,23 @@ from dune_rl.learning.networks.policy import MEMORY
 from dune_rl.learning.onnx_file import MEMORY_AFTER, METADATA
 
 
+def open_session(model: str | bytes) -> Any:
+    """The `onnxruntime.InferenceSession` of a file or of its content, on one thread.
+
+    Raises ImportError without onnxruntime, and ValueError, with a line of its reason, where it refuses the
+    model.
+    """
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    # As everywhere in evaluations: equal results on any number of cores.
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    try:
+        return onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+    except Exception as error:
+        raise ValueError(str(error).partition("\n")[0]) from None
+
+
 class OnnxPolicy:
     """A policy of an ONNX file, of this package or of others, on one thread.
 
@@ -21,20 +38,14 @@ class OnnxPolicy:
     """
 
     def __init__(self, path: Path) -> None:
-        try:
-            import onnxruntime
-        except ImportError:
-            raise ConfigError(f"policy={path} needs onnxruntime: pip install 'dune_rl[onnx]'") from None
         if not path.is_file():
             raise ConfigError(f"policy={path}: there is no such file")
-        options = onnxruntime.SessionOptions()
-        # As everywhere in evaluations: equal results on any number of cores.
-        options.intra_op_num_threads = options.inter_op_num_threads = 1
         try:
-            session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-        except Exception as error:
-            reason = str(error).splitlines()[0]
-            raise ConfigError(f"policy={path} cannot be read as an ONNX file: {reason}") from None
+            session = open_session(str(path))
+        except ImportError:
+            raise ConfigError(f"policy={path} needs onnxruntime: pip install 'dune_rl[onnx]'") from None
+        except ValueError as error:
+            raise ConfigError(f"policy={path} cannot be read as an ONNX file: {error}") from None
         self._path, self._session = path, session
         shapes = {each.name: each.shape for each in session.get_inputs()}
         memory = shapes.pop(MEMORY, (0,))

@@ -85,6 +85,18 @@ def test_a_model_that_acts_otherwise_is_not_written(
 
 
 @pytest.mark.slow
+def test_a_model_that_onnxruntime_refuses_is_not_written(
+    folder: Path, call: Call, capsys, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("onnxscript")
+    pytest.importorskip("onnxruntime")
+    monkeypatch.setattr(policy_export, "onnx_model", lambda *args: (onnx_model(*args)[0], b"no model"))
+    assert call(export.main, f"checkpoint={FLAT}", "out=policy.onnx") == 2
+    assert "onnxruntime does not run the policy, so no file was written: " in capsys.readouterr().err
+    assert not (folder / "policy.onnx").exists()
+
+
+@pytest.mark.slow
 def test_a_recurrent_policy_keeps_its_memory_outside(folder: Path) -> None:
     pytest.importorskip("onnxscript")
     spec = PolicySpec(

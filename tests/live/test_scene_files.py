@@ -31,9 +31,9 @@ def test_a_gltf_has_each_body_where_it_was(
     assert call(*WORDS, "view=gltf", "longest_s=1") == 0
     assert capsys.readouterr().out.splitlines() == [
         "Recording an episode of at most 1 s.",
-        "Written: views/flat_seed4.glb",
+        "Written: views/flat_seed4_go_to_goal.glb",
     ]
-    content = (folder / "views" / "flat_seed4.glb").read_bytes()
+    content = (folder / "views" / "flat_seed4_go_to_goal.glb").read_bytes()
     tree, _ = tree_of(content)
     numbers = {node["name"]: number for number, node in enumerate(tree["nodes"])}
     assert {"ground_and_objects", "rover_0", "walker_0", "walker_1", "goal_of_rover_0"} < numbers.keys()
@@ -66,7 +66,7 @@ def test_the_sky_of_a_gltf_encloses_the_world_closely_and_is_seen_from_within(
     call: Call, folder: Path
 ) -> None:
     assert call(*WORDS, "view=gltf", "longest_s=0.1") == 0
-    content = (folder / "views" / "flat_seed4.glb").read_bytes()
+    content = (folder / "views" / "flat_seed4_go_to_goal.glb").read_bytes()
     scene = trimesh.load(BytesIO(content), file_type="glb")
     pose, name = scene.graph["sky"]
     sky, middle = scene.geometry[name], pose[:3, 3]
@@ -86,7 +86,7 @@ def test_the_sky_of_a_gltf_encloses_the_world_closely_and_is_seen_from_within(
 @pytest.mark.slow
 def test_the_legs_of_people_are_shown_one_after_another(call: Call, folder: Path) -> None:
     assert call(*WORDS, "actors=pedestrians", "view=gltf", "longest_s=2") == 0
-    content = (folder / "views" / "flat_seed4.glb").read_bytes()
+    content = (folder / "views" / "flat_seed4_go_to_goal.glb").read_bytes()
     tree, _ = tree_of(content)
     names = [node["name"] for node in tree["nodes"]]
     (animation,) = tree["animations"]
@@ -123,7 +123,7 @@ def test_a_page_plays_without_a_server_or_a_network(
     asked: list[str] = []
     page.tab.on("request", lambda request: asked.append(request.url))
     page.tab.context.set_offline(True)
-    path = folder / "views" / "flat_seed4.html"
+    path = folder / "views" / "flat_seed4_go_to_goal.html"
     page.tab.goto(path.as_uri())
     page.wait_until_drawn()
     assert not page.errors

@@ -57,17 +57,17 @@ def frames_of(path: Path) -> tuple[np.ndarray, float]:
 def test_a_sheet_and_a_film_are_made(call: Call, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(*TINY, "out=new/views") == 0
     made = folder / "new" / "views"
-    assert sorted(path.name for path in made.iterdir()) == ["flat_seed0.mp4", "flat_sheet.png"]
+    assert sorted(path.name for path in made.iterdir()) == ["flat_seed0_go_to_goal.mp4", "flat_sheet.png"]
     assert capsys.readouterr().out.splitlines() == [
         "Drawing all readings, 0.2 s into the episode.",
         "Written: new/views/flat_sheet.png",
-        "Written: new/views/flat_seed0.mp4",
+        "Written: new/views/flat_seed0_go_to_goal.mp4",
     ]
     with Image.open(made / "flat_sheet.png") as sheet:
         assert sheet.format == "PNG"
         assert sheet.width == 1760 and sheet.height > 1000
         assert len(sheet.convert("RGB").getcolors(2**22)) > 1000
-    frames, length_s = frames_of(made / "flat_seed0.mp4")
+    frames, length_s = frames_of(made / "flat_seed0_go_to_goal.mp4")
     # A second at ten frames a second, both ends included, and the last picture for another 1.5 s.
     assert frames.shape == (26, 96, 128, 3)
     assert length_s == pytest.approx(2.6)
@@ -96,7 +96,7 @@ def test_a_film_ends_with_its_episode(call: Call, folder: Path) -> None:
         "task.terminations.time_limit.max_steps=12",
     ]
     assert call(*TINY, *words) == 0
-    frames, length_s = frames_of(folder / "views" / "flat_seed4.mp4")
+    frames, length_s = frames_of(folder / "views" / "flat_seed4_go_to_goal.mp4")
     # At steps 0, 5, 10 and 12, and 1.5 s of the last.
     assert len(frames) == 4 + 6
     assert length_s == pytest.approx(10 / 4)
@@ -107,7 +107,7 @@ def test_a_film_ends_with_its_episode(call: Call, folder: Path) -> None:
 def test_a_film_has_the_size_asked_for(size: tuple[int, int], call: Call, folder: Path) -> None:
     words = ["view=video", BLIND, f"width={size[0]}", f"height={size[1]}", "longest_s=0.1"]
     assert call(*TINY, *words) == 0
-    assert frames_of(folder / "views" / "flat_seed0.mp4")[0].shape[1:] == (size[1], size[0], 3)
+    assert frames_of(folder / "views" / "flat_seed0_go_to_goal.mp4")[0].shape[1:] == (size[1], size[0], 3)
 
 
 @pytest.mark.slow
@@ -119,16 +119,20 @@ def test_the_place_is_pictured_from_above(call: Call, folder: Path) -> None:
         assert len(picture.getcolors(2**20)) > 100
 
 
-def film_of(call: Call, *words: str) -> np.ndarray:
-    assert call(*TINY, BLIND, "longest_s=0.5", *words) == 0
-    return frames_of(Path("views") / "flat_seed0.mp4")[0]
+def film_of(call: Call, kind: str, policy: str) -> np.ndarray:
+    assert call(*TINY, BLIND, "longest_s=0.5", f"view={kind}", f"policy={policy}") == 0
+    return frames_of(Path("views") / f"flat_seed0_{policy}.mp4")[0]
 
 
 @pytest.mark.slow
 def test_films_of_one_seed_are_the_same_and_drivers_differ(call: Call, folder: Path) -> None:
-    driven = film_of(call, "view=video")
-    np.testing.assert_array_equal(film_of(call, "view=video", "policy=go_to_goal"), driven)
-    assert (film_of(call, "view=video", "policy=random") != driven).any()
+    driven = film_of(call, "video", "go_to_goal")
+    assert (film_of(call, "video", "random") != driven).any()
+    assert {path.name for path in Path("views").iterdir()} == {
+        "flat_seed0_go_to_goal.mp4",
+        "flat_seed0_random.mp4",
+    }
+    np.testing.assert_array_equal(film_of(call, "video", "go_to_goal"), driven)
 
 
 @pytest.mark.slow
@@ -151,8 +155,8 @@ def test_an_episode_of_a_set_is_shown_by_its_number(call: Call, folder: Path) ->
 
 @pytest.mark.slow
 def test_a_sheet_before_it_does_not_change_a_film(call: Call, folder: Path) -> None:
-    alone = film_of(call, "view=video", "policy=random")
-    np.testing.assert_array_equal(film_of(call, "view=both", "policy=random"), alone)
+    alone = film_of(call, "video", "random")
+    np.testing.assert_array_equal(film_of(call, "both", "random"), alone)
 
 
 @pytest.mark.slow
@@ -162,7 +166,7 @@ def test_the_agent_that_is_followed_is_chosen_by_name(call: Call, folder: Path) 
     for agent in ("rover_0", "rover_1", "walker_0"):
         more = ["robots=[rover_zero,rover_zero]", BLIND, "view=video", "longest_s=0.1", f"agent={agent}"]
         assert call(*words, *more, f"out={agent}") == 0
-        pictures.append(frames_of(folder / agent / "flat_seed0.mp4")[0][0])
+        pictures.append(frames_of(folder / agent / "flat_seed0_go_to_goal.mp4")[0][0])
     for first, second in ((0, 1), (0, 2), (1, 2)):
         assert np.abs(pictures[first].astype(int) - pictures[second]).mean() > 1.0
 
@@ -239,7 +243,7 @@ def test_a_checkpoint_drives(robot: str, group: str, call: Call, folder: Path) -
         write_checkpoint_file(folder / "policy.pt", "policy", {"groups": groups, "config": config})
         view_words = [word for word in TINY if word != "actors=none" and not word.startswith("+world")]
         assert call(*view_words, "checkpoint=policy.pt", "view=video", f"out=views{bias}") == 0
-        frames, _ = frames_of(folder / f"views{bias}" / "flat_seed0.mp4")
+        frames, _ = frames_of(folder / f"views{bias}" / f"flat_seed0_{folder.name}_policy.mp4")
         ends.append(frames[10].astype(int))
     assert np.abs(ends[0] - ends[1]).mean() > 1.0
 

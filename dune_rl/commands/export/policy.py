@@ -19,6 +19,7 @@ from dune_rl.core.suggestions import split_word
 from dune_rl.core.version import VERSION
 from dune_rl.learning.checkpoint import read_policy_file
 from dune_rl.learning.onnx_file import ActingNetwork, check_exporter, onnx_model, sample_inputs
+from dune_rl.learning.onnx_policy import open_session
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.saved_policies import describe_selection, saved_policy_in
 
@@ -90,12 +91,14 @@ def export_policy(conf: PolicyConf) -> None:
 def _compare(model: bytes, acting: ActingNetwork, spec: PolicySpec) -> str:
     """A line on how far both act alike; raises ConfigError where they do not."""
     try:
-        import onnxruntime
+        session = open_session(model)
     except ImportError:
         return "not compared with the checkpoint: onnxruntime is not installed"
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+    except ValueError as error:
+        raise ConfigError(
+            f"onnxruntime does not run the policy, so no file was written: {error}; "
+            "install the version of constraints.txt, or report this"
+        ) from None
     most, generator_state = 0.0, torch.get_rng_state()
     # Components of a memory are between -1 and 1.
     ranges = [np.subtract(spec.high, spec.low) if name == "action" else 2.0 for name in acting.outputs]
