@@ -137,6 +137,11 @@ def run_command(page: HelpPage, body: Callable[[Sequence[str]], None]) -> NoRetu
         sys.exit(128 + signal.SIGINT)
     except Terminated:
         sys.exit(128 + signal.SIGTERM)
+    except ModuleNotFoundError as error:
+        message = _describe_missing(error)
+        if message is None:
+            raise
+        exit_with_error(message)
     except Exception:
         # Another thread may clear them.
         lost = [*_lost_signals]
@@ -203,6 +208,24 @@ def describe_user_error(error: DuneError | OSError) -> str | None:
         return "\n".join(_cut_line(line) for line in str(error).split("\n"))
     reason = _FILE_ERRORS.get(error.errno or 0)
     return f"cannot write {error.filename or 'a file'}: {reason}; choose another place" if reason else None
+
+
+def _describe_missing(error: ModuleNotFoundError) -> str | None:
+    """What to install where a package that this one needs is missing; None for other modules."""
+    from dune_rl.core.machine import module_name, required_packages
+
+    try:
+        needed = {module_name(package.name): str(package) for package in required_packages()}
+    except ModuleNotFoundError as first:
+        # That of which the requirements are read.
+        error, needed = first, {"packaging": "packaging"}
+    package = needed.get((error.name or "").partition(".")[0])
+    if package is None:
+        return None
+    return (
+        f"dune_rl needs {package}, which is not installed; pip install '{package}', "
+        f"and {shell_command('dune_rl.doctor')} names all that is missing"
+    )
 
 
 def _cut_line(line: str) -> str:

@@ -7,18 +7,21 @@ import subprocess
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
-from typing import Any
-
-from packaging.requirements import Requirement
+from typing import TYPE_CHECKING, Any
 
 from dune_rl.core.paths import package_folder
 
+if TYPE_CHECKING:
+    from packaging.requirements import Requirement
+
 # The extras whose packages results depend on.
 _EXTRAS = ("", "onnx")
+# Packages whose module has another name.
+_MODULES = {"hydra-core": "hydra", "pillow": "PIL", "pycollada": "collada"}
 _GIT_S = 10.0
 
 
-def required_packages(extra: str = "") -> list[Requirement]:
+def required_packages(extra: str = "") -> list["Requirement"]:
     """What this package needs on this system or, with `extra`, what that adds.
 
     Nothing where this package is not installed, but on the path alone.
@@ -27,6 +30,9 @@ def required_packages(extra: str = "") -> list[Requirement]:
         lines = requires("dune_rl") or ()
     except PackageNotFoundError:
         return []
+    # In the function, so that what misses this package can be told.
+    from packaging.requirements import Requirement
+
     found = [Requirement(line) for line in lines]
     return [
         each
@@ -34,6 +40,11 @@ def required_packages(extra: str = "") -> list[Requirement]:
         if (each.marker is None or each.marker.evaluate({"extra": extra}))
         and (not extra or "extra" in str(each.marker))
     ]
+
+
+def module_name(package: str) -> str:
+    """The module by which a package that this one needs is imported: "PIL" of "pillow"."""
+    return _MODULES.get(package, package.replace("-", "_"))
 
 
 def package_versions() -> dict[str, str]:

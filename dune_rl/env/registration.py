@@ -3,9 +3,13 @@
 import importlib.util
 import re
 
-import gymnasium
-
 from dune_rl.core import plugins
+
+try:
+    import gymnasium
+except ModuleNotFoundError:
+    # `python -m dune_rl.doctor` shall start without it, and name it.
+    gymnasium = None  # type: ignore[assignment]
 
 # A live page needs viser; Gymnasium's own check of environments tries every mode that is named here.
 RENDER_MODES = ["human", "rgb_array"] if importlib.util.find_spec("viser") else ["rgb_array"]
@@ -22,10 +26,10 @@ def register_envs() -> None:
 
 
 def register_env(world: str) -> None:
-    """Register the id of one world: of `lunar_base` it is `dune_rl/LunarBase-v0`."""
+    """Register the id of one world: of `lunar_base` it is `dune_rl/LunarBase-v0`. Nothing without Gymnasium."""
     title = "".join(part[:1].upper() + part[1:] for part in re.split("[_-]", world))
     name = f"dune_rl/{title}-v0"
-    if name not in gymnasium.registry:
+    if gymnasium is not None and name not in gymnasium.registry:
         gymnasium.register(
             name,
             entry_point="dune_rl:gym_env",

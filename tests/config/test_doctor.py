@@ -5,6 +5,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -50,22 +51,45 @@ import sys
 class Hidden:
     def find_spec(self, name, *rest):
         if name.partition(".")[0] == "{name}":
-            raise ImportError("{name} is broken")
+            raise {error}
 sys.meta_path.insert(0, Hidden())
-sys.argv[1:] = []
-from dune_rl.doctor import main
+sys.argv[1:] = {words}
+from dune_rl.{command} import main
 main()
 """
 
 
-@pytest.mark.parametrize("name", ["numba", "llvmlite", "scipy"])
+def run_without(name: str, error: str, command: str, *words: str) -> "subprocess.CompletedProcess[str]":
+    """A command where importing the module `name` raises `error`."""
+    code = HIDE.format(name=name, error=error, command=command, words=words)
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=240, check=False
+    )
+
+
+@pytest.mark.parametrize("name", ["numba", "gymnasium", "torchrl"])
 def test_a_package_that_cannot_be_imported_is_named(name: str) -> None:
-    command = [sys.executable, "-c", HIDE.format(name=name)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    done = run_without(name, f"ModuleNotFoundError('{name} is broken', name='{name}')", "doctor")
     assert done.returncode == 2, done.stderr
     words = " ".join(done.stdout.split())
-    assert f"{name} is broken. Install the tested versions" in words and "1 to be mended" in words
-    assert not done.stderr
+    assert f"{name} cannot be imported: {name} is broken. Install the tested versions" in words
+    assert "to be mended" in words and "control steps" not in words and not done.stderr
+
+
+@pytest.mark.parametrize("command", ["doctor", "evaluate"])
+@pytest.mark.parametrize(("name", "package"), [("pydantic", "pydantic>=2.10"), ("packaging", "packaging")])
+def test_a_command_names_the_missing_package_that_ends_it(name: str, package: str, command: str) -> None:
+    words = ["+world=flat", "policy=random"] if command == "evaluate" else []
+    done = run_without(name, f"ModuleNotFoundError(name='{name}')", command, *words)
+    assert done.returncode == 2
+    (told,) = done.stderr.splitlines()
+    assert told.startswith(f"dune_rl needs {package}, which is not installed; pip install '{package}', ")
+    assert "dune_rl.doctor names all that is missing" in told
+
+
+def test_all_that_is_needed_is_imported_by_its_name() -> None:
+    for package in machine.required_packages():
+        assert find_spec(machine.module_name(package.name)), package
 
 
 def test_where_the_package_is_not_installed_nothing_is_said_to_be_well(

@@ -2,10 +2,11 @@
 
 import platform
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 from dune_rl.commands.command_line import ReportedError, make_console
-from dune_rl.commands.doctor.checks import Finding, check_cache, check_compiled, check_packages
+from dune_rl.commands.doctor.checks import Finding, check_cache, check_compiled, check_imports, check_packages
 from dune_rl.commands.doctor.reference import REFERENCE, Reference, check_place, compare_drives
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.machine import available_cores, git_commit, memory_gib, package_versions, processor_name
@@ -57,15 +58,12 @@ def _examine(reference: Reference, is_given: bool, measured: list[Reference]) ->
         + (f", {memory} GiB" if memory is not None else "")
         + f"; {platform.system()} {platform.machine()}, Python {platform.python_version()}",
     )
-    packages = check_packages(reference.versions)
-    yield from packages
-    if any(finding.is_fault for finding in packages):
-        return
-    try:
-        yield from _compute(reference, is_given, measured)
-    except ImportError as error:
-        text = f"{error}. Install the tested versions: pip install -c constraints.txt -e ."
-        yield Finding("package", text, is_fault=True)
+    for check in (partial(check_packages, reference.versions), check_imports):
+        packages = check()
+        yield from packages
+        if any(finding.is_fault for finding in packages):
+            return
+    yield from _compute(reference, is_given, measured)
 
 
 def _compute(reference: Reference, is_given: bool, measured: list[Reference]) -> Iterator[Finding]:

@@ -3,16 +3,21 @@
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from rich.console import Console
-
-from dune_rl.core.machine import package_versions, required_packages
+from dune_rl.core.machine import module_name, package_versions, required_packages
 from dune_rl.core.paths import cache_folder
+from dune_rl.physics.process import suppress_stderr
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 # What extras of the package are for.
 _EXTRAS = {"onnx": "policies in ONNX files"}
 _WIDTH = 10
+_INSTALL = "pip install -c constraints.txt -e ."
 
 
 @dataclass(frozen=True)
@@ -23,7 +28,7 @@ class Finding:
     text: str
     is_fault: bool = False
 
-    def show(self, console: Console) -> None:
+    def show(self, console: "Console") -> None:
         """Print it, the text indented beside the subject."""
         from rich.padding import Padding
         from rich.table import Table
@@ -40,7 +45,7 @@ def check_packages(tested: Mapping[str, str]) -> list[Finding]:
     """What is missing or too old, what differs from the versions of the reference, and absent extras."""
     if not required_packages():
         text = "dune_rl is on the path and not installed, so that its packages are not known"
-        return [Finding("packages", f"{text}: pip install -c constraints.txt -e .", is_fault=True)]
+        return [Finding("packages", f"{text}: {_INSTALL}", is_fault=True)]
     here, found = package_versions(), []
     for package in required_packages():
         version = here.get(package.name)
@@ -59,6 +64,22 @@ def check_packages(tested: Mapping[str, str]) -> list[Finding]:
         if absent:
             text = f"no {', '.join(absent)}, for {purpose}: pip install 'dune_rl[{extra}]'"
             found.append(Finding("extra", text))
+    return found
+
+
+def check_imports() -> list[Finding]:
+    """The packages that are there and cannot be imported."""
+    found = []
+    for package in required_packages():
+        try:
+            # PyBullet tells when it was built.
+            with suppress_stderr():
+                import_module(module_name(package.name))
+        # Of any kind, as in the libraries in C that a package loads.
+        except Exception as error:
+            reason = str(error).partition("\n")[0]
+            text = f"{package.name} cannot be imported: {reason}. Install the tested versions: {_INSTALL}"
+            found.append(Finding("package", text, is_fault=True))
     return found
 
 
