@@ -26,7 +26,7 @@ def register_envs() -> None:
 
 
 def register_env(world: str) -> None:
-    """Register the id of one world: of `lunar_base` it is `dune_rl/LunarBase-v0`. Nothing without Gymnasium."""
+    """Register the id of one world, of `lunar_base` `dune_rl/LunarBase-v0`; nothing without Gymnasium."""
     title = "".join(part[:1].upper() + part[1:] for part in re.split("[_-]", world))
     name = f"dune_rl/{title}-v0"
     if gymnasium is not None and name not in gymnasium.registry:
