@@ -10,7 +10,7 @@ import yaml
 from dune_rl.config.compose import compose, override_value
 from dune_rl.config.schema import Conf
 from dune_rl.core.errors import CheckpointError, ConfigError
-from dune_rl.core.folder_lock import LOCK_FILE
+from dune_rl.core.folder_lock import LOCK_FILE, FolderLock
 from dune_rl.core.suggestions import typed_word
 from dune_rl.core.untrusted_files import parse_yaml
 from dune_rl.learning.checkpoint import (
@@ -55,11 +55,11 @@ def check_own_folder(overrides: Sequence[str], *, is_sweep: bool) -> None:
         )
 
 
-def find_own_run(conf: Conf, folders: Sequence[str]) -> SavedRun | None:
-    """The run with the settings `conf` in its `run_dir`; None where it has to begin.
+def find_own_run(conf: Conf, folders: Sequence[str], lock: FolderLock) -> SavedRun | None:
+    """The run with the settings `conf` in its `run_dir`, of which the caller holds the `lock`.
 
-    What a run that was cut off before its first save left there is removed. Raises CheckpointError if the
-    folder holds a run of other settings.
+    None where it has to begin: what a run that was cut off before its first save left there is removed.
+    Raises CheckpointError if the folder holds a run of other settings.
     """
     folder = Path(conf.run_dir)
     checkpoint, config = folder / CHECKPOINT_FILE, folder / CONFIG_FILE
@@ -68,7 +68,7 @@ def find_own_run(conf: Conf, folders: Sequence[str]) -> SavedRun | None:
         before = compose(Conf, (), folders, content["config"])
         _require_equal(before, conf, folder)
         changes = {name: getattr(conf, name) for name in _MAY_DIFFER}
-        return _saved_run(before.model_copy(update=changes), checkpoint, content)
+        return _saved_run(before.model_copy(update=changes), checkpoint, content, lock.was_left)
     # Each save writes the latest policies, too: where they are, somebody has removed the checkpoint.
     if config.is_file() and not (folder / LAST_POLICY_FILE).exists():
         with interpreting(config):
@@ -94,7 +94,8 @@ def find_named_run(source: str, overrides: Sequence[str], folders: Sequence[str]
     if override_value(overrides, "run_dir") is None:
         saved["run_dir"] = str(checkpoint.parent)
     conf, before = compose(Conf, overrides, folders, saved), compose(Conf, (), folders, saved)
-    run = _saved_run(conf, checkpoint, content)
+    was_cut_off = (checkpoint.parent / LOCK_FILE).exists()
+    run = _saved_run(conf, checkpoint, content, was_cut_off)
     if run.is_finished:
         raise ConfigError(
             f"{source} is a finished run of {run.frames:,} frames, and total_frames is "
@@ -115,7 +116,7 @@ def find_named_run(source: str, overrides: Sequence[str], folders: Sequence[str]
     return run
 
 
-def _saved_run(conf: Conf, checkpoint: Path, content: Mapping[str, Any]) -> SavedRun:
+def _saved_run(conf: Conf, checkpoint: Path, content: Mapping[str, Any], was_cut_off: bool) -> SavedRun:
     # Imported here: processes that collect import this module, too.
     from dune_rl.statistics.measures import mean_of_known
 
@@ -124,7 +125,7 @@ def _saved_run(conf: Conf, checkpoint: Path, content: Mapping[str, Any]) -> Save
         frames = counters["frames"]
         is_at_end = frames >= conf.total_frames and counters["evaluated_at"] == frames
         # A run that was cut off amid its last save has written the checkpoint, perhaps no more.
-        is_finished = is_at_end and not (checkpoint.parent / LOCK_FILE).exists()
+        is_finished = is_at_end and not was_cut_off
         rows = counters.get("rows", {}).get(conf.driven_group.name)
         objective = mean_of_known(row[conf.objective] for row in rows) if rows else None
     return SavedRun(conf, checkpoint, frames, is_finished, objective)

@@ -34,17 +34,18 @@ from dune_rl.config.schema import Conf
 from dune_rl.core import paths
 from dune_rl.core.errors import CheckpointError, ConfigError, DuneError
 from dune_rl.core.files import removing_empty
-from dune_rl.core.folder_lock import LOCK_FILE
+from dune_rl.core.folder_lock import LOCK_FILE, FolderLock
 from dune_rl.core.machine import available_cores
 from dune_rl.core.ray_cluster import check_installed
 from dune_rl.core.suggestions import text_word
-from dune_rl.learning.checkpoint import CHECKPOINT_FILE, CONFIG_FILE
-from dune_rl.learning.run.locks import check_unused, reserve_cores
+from dune_rl.learning.checkpoint import CHECKPOINT_FILE
+from dune_rl.learning.run.locks import check_unused, lock_run, remove_beginnings, reserve_cores
 
 if TYPE_CHECKING:
     from dune_rl.learning.trainer import TrainingResult
 
 _HYDRA_FOLDER = ".hydra"
+_NO_WORDS = "hydra.output_subdir=null"
 _SIDE_BY_SIDE = ("joblib", "submitit_local")
 
 
@@ -58,7 +59,10 @@ def run(words: Sequence[str]) -> None:
     elif source is not None:
         if parsed.multirun:
             raise ConfigError(f"resume=FOLDER goes on with one run; write resume={AUTO}, or leave -m out")
-        _go_on(find_named_run(str(source), parsed.overrides, folders))
+        run = find_named_run(str(source), parsed.overrides, folders)
+        run_dir = Path(run.conf.run_dir)
+        with removing_empty(run_dir.parent), _locked(run_dir) as lock:
+            train(run.conf, resume=run.checkpoint, lock=lock)
         return
     if parsed.multirun and override_value(parsed.overrides, "run_dir") is not None:
         raise ConfigError("run_dir names the folder of one run; with -m write hydra.sweep.dir=FOLDER")
@@ -73,15 +77,8 @@ def run(words: Sequence[str]) -> None:
         from dune_rl.config.group_files import check_group_files
 
         check_group_files(conf)
-        run = find_own_run(conf, folders) if source == AUTO else None
-        if run is not None:
-            _go_on(run)
-            return
-        check_unused(Path(conf.run_dir))
-    ready = check_sweep(parsed.overrides, folders)
-    if source == AUTO:
-        # The files of a run that goes on, or of another that is in its folder, stay as they are.
-        ready.append("hydra.output_subdir=null")
+    # A job writes its words itself, when it has the lock of its folder: another run may be there.
+    ready = [*check_sweep(parsed.overrides, folders), _NO_WORDS]
     flags = [word for word in sys.argv[1:] if word not in parsed.overrides]
     with nullcontext() if parsed.multirun else removing_empty(Path(conf.run_dir).parent):
         _run_hydra([*flags, *ready])
@@ -105,7 +102,7 @@ def _explain(message: str, words: Sequence[str]) -> str:
             f"hydra/{kind}={name}: there is no such {kind} here; pip install 'dune_rl[sweeps]' has joblib, "
             "submitit and Optuna, and docs/how_to/cluster.md says how to install Ray's"
         )
-    own = [word for word in words if word.lstrip("+~").startswith("hydra.")]
+    own = [word for word in words if word.lstrip("+~").startswith("hydra.") and word != _NO_WORDS]
     if not own:
         return message
     return (
@@ -126,18 +123,22 @@ def _job(config: DictConfig) -> float | None:
         folders = [source.path for source in sources if source.provider == "command-line"]
         conf = compose(Conf, engine.overrides.task, folders)
         conf = conf.model_copy(update={"run_dir": engine.runtime.output_dir})
-        run = find_own_run(conf, folders) if conf.resume == AUTO else None
-        if run is not None and run.is_finished:
-            _go_on(run)
-            return run.objective
-        if conf.resume == AUTO and run is None:
-            check_unused(Path(conf.run_dir))
-            _save_words(config, Path(conf.run_dir) / _HYDRA_FOLDER)
-        with _cores_of_a_sweep(conf, engine):
+        # As messages show it.
+        shown = command_line.shown_path(Path(conf.run_dir))
+        with _locked(Path(shown)) as lock:
+            own = conf.model_copy(update={"run_dir": shown})
+            run = find_own_run(own, folders, lock) if conf.resume == AUTO else None
+            if run is not None and run.is_finished:
+                _tell_finished(run)
+                return run.objective
             if run is None:
-                result = train(conf, words=engine.overrides.task)
-            else:
-                result = train(run.conf, resume=run.checkpoint)
+                check_unused(Path(shown))
+                _save_words(config, Path(conf.run_dir) / _HYDRA_FOLDER)
+            with _cores_of_a_sweep(conf, engine):
+                if run is None:
+                    result = train(conf, words=engine.overrides.task, lock=lock)
+                else:
+                    result = train(run.conf, resume=run.checkpoint, lock=lock)
         from dune_rl.statistics.measures import mean_of_known
 
         rows = result.evaluation[conf.driven_group.name]
@@ -147,7 +148,6 @@ def _job(config: DictConfig) -> float | None:
         if message is None:
             raise
         if engine.mode is not RunMode.MULTIRUN:
-            _remove_if_unused(Path(engine.runtime.output_dir))
             command_line.exit_with_error(message)
         # The other jobs of the sweep go on; Hydra raises this one's error after the last.
         command_line.print_error(f"job {engine.job.num} failed: {message}")
@@ -155,10 +155,28 @@ def _job(config: DictConfig) -> float | None:
     return None
 
 
-def _remove_if_unused(run_dir: Path) -> None:
-    """Remove the folder of a run that was refused, in which there are Hydra's settings and our lock alone."""
-    if {entry.name for entry in run_dir.iterdir()} <= {_HYDRA_FOLDER, LOCK_FILE}:
-        shutil.rmtree(run_dir)
+@contextmanager
+def _locked(run_dir: Path) -> Iterator[FolderLock]:
+    """The lock of a run's folder until all of the run is written, its film, too.
+
+    The lock's file stays where a run was cut off. The folder goes where a run was refused, and it holds the
+    command's words and our lock alone.
+    """
+    lock = lock_run(run_dir)
+    if lock.was_left:
+        lock.keep_file()
+    try:
+        yield lock
+    except SystemExit:
+        # Stopped by a signal, and saved.
+        lock.finish()
+        raise
+    except BaseException:
+        if {entry.name for entry in run_dir.glob("*")} <= {_HYDRA_FOLDER, LOCK_FILE}:
+            shutil.rmtree(run_dir)
+        lock.release()
+        raise
+    lock.finish()
 
 
 def _save_words(config: DictConfig, folder: Path) -> None:
@@ -190,17 +208,17 @@ def _cores_of_a_sweep(conf: Conf, engine: Any) -> Iterator[None]:
         yield
 
 
-def _go_on(run: SavedRun) -> None:
-    if run.is_finished:
-        print(f"{run.conf.run_dir} is a finished run of {run.frames:,} frames: there is nothing to do")
-    else:
-        train(run.conf, resume=run.checkpoint)
+def _tell_finished(run: SavedRun) -> None:
+    print(f"{run.conf.run_dir} is a finished run of {run.frames:,} frames: there is nothing to do")
 
 
-def train(conf: Conf, resume: Path | None = None, words: Sequence[str] = ()) -> "TrainingResult":
+def train(
+    conf: Conf, resume: Path | None = None, words: Sequence[str] = (), lock: FolderLock | None = None
+) -> "TrainingResult":
     """Run or resume a training, and show how it ended; a signal ends the process once all is saved.
 
-    `words` are those of the command line, KEY=VALUE: TensorBoard compares runs by what they set.
+    `words` are those of the command line, KEY=VALUE: TensorBoard compares runs by what they set. The caller
+    may hold the `lock` of the run's folder, and then ends it.
     """
     _check_machine(conf)
     # Imported here: these load PyTorch and the physics engine, which `--help` and collector processes, which
@@ -236,6 +254,7 @@ def train(conf: Conf, resume: Path | None = None, words: Sequence[str] = ()) -> 
             judged=conf.driven_group.name,
             action_repeat=conf.physics.action_repeat,
             make_evaluation_env=partial(make_learning_env, evaluated),
+            lock=lock,
         )
     except GroupMismatchError as error:
         owner = describe_owner(error.location, error.group, conf.path_of(error.group))
@@ -253,10 +272,7 @@ def train(conf: Conf, resume: Path | None = None, words: Sequence[str] = ()) -> 
     try:
         result = trainer.train()
     except DuneError:
-        if not (run_dir / CHECKPOINT_FILE).exists():
-            # Nothing has been learned: the corrected command may use the folder.
-            for file in (run_dir / CONFIG_FILE, *run_dir.glob("events.out.tfevents.*")):
-                file.unlink(missing_ok=True)
+        remove_beginnings(run_dir)
         raise
     except KeyboardInterrupt:
         is_saved = (run_dir / CHECKPOINT_FILE).exists()
@@ -297,7 +313,7 @@ def _check_machine(conf: Conf) -> None:
     _check_device(conf)
     if conf.learning.collector.mode == "ray":
         check_installed("learning.collector.mode=ray")
-    processes, cores = conf.learning.collector.processes_here, len(os.sched_getaffinity(0))
+    processes, cores = conf.learning.collector.processes_here, available_cores()
     # A single thread of the learner is busy for a part of the time: workers may take all cores.
     threads = conf.learning.threads or 1
     if processes > cores or (threads > 1 and processes + threads > cores):

@@ -2,10 +2,11 @@
 
 import contextlib
 import os
+import warnings
 import weakref
 from pathlib import Path
 
-from dune_rl.core.errors import DuneError
+from dune_rl.core.errors import DuneError, DuneWarning
 from dune_rl.core.files import try_lock
 
 LOCK_FILE = ".lock"
@@ -14,14 +15,16 @@ LOCK_FILE = ".lock"
 class FolderLock:
     """A lock on `folder`, which the system releases when the process ends, however it does.
 
-    Raises `if_taken` if another process has it. Where there are no such locks, nothing is locked.
+    `was_left` says that its file was there: a process that had the folder was killed, or still has it. Raises
+    `if_taken` if another process has it. Where there are no such locks, nothing is locked.
     """
 
     def __init__(self, folder: Path, if_taken: DuneError) -> None:
+        self.was_left = (folder / LOCK_FILE).exists()
         handle = _lock(folder, if_taken)
-        # The lock of a process that fails before it begins to write goes with this object.
+        # The lock of a process that fails before it begins to write goes with this object, and its file, too.
         self._release = (
-            None if handle is None else weakref.finalize(self, _unlock, handle, folder, os.getpid())
+            None if handle is None else weakref.finalize(self, _unlock, handle, folder, os.getpid(), True)
         )
 
     @property
@@ -29,18 +32,27 @@ class FolderLock:
         """Whether the folder is locked; false where there are no such locks."""
         return self._release is not None and self._release.alive
 
-    def release(self, *, keep_file: bool = False) -> None:
-        """Let others have the folder; a second call does nothing.
+    def keep_file(self) -> None:
+        """Leave the file where it is when the lock ends, as after a kill, unless by `finish`.
 
-        With `keep_file` its file stays, as after a kill: what was being written may not be whole.
+        It says that what was being written may not be whole.
         """
-        if self._release is None:
-            return
-        if keep_file and (held := self._release.detach()) is not None:
-            _, _, (handle, _, owner), _ = held
-            if os.getpid() == owner:
-                os.close(handle)
-        self._release()
+        self._set_file_removal(False)
+
+    def finish(self) -> None:
+        """Let others have the folder, in which all is whole, and remove the file."""
+        self._set_file_removal(True)
+        self.release()
+
+    def release(self) -> None:
+        """Let others have the folder; a second call does nothing."""
+        if self._release is not None:
+            self._release()
+
+    def _set_file_removal(self, removes: bool) -> None:
+        if self._release is not None and (held := self._release.detach()) is not None:
+            handle, folder, owner, _ = held[2]
+            self._release = weakref.finalize(self, _unlock, handle, folder, owner, removes)
 
 
 def _lock(folder: Path, if_taken: DuneError) -> int | None:
@@ -54,15 +66,22 @@ def _lock(folder: Path, if_taken: DuneError) -> int | None:
         os.close(handle)
         if is_locked is None:
             (folder / LOCK_FILE).unlink(missing_ok=True)
+            warnings.warn(
+                f"{folder} is on a file system without locks of files: two processes that write to it would "
+                "not notice each other",
+                DuneWarning,
+                stacklevel=2,
+            )
             return None
         if not is_locked:
             raise if_taken
 
 
-def _unlock(handle: int, folder: Path, owner: int) -> None:
+def _unlock(handle: int, folder: Path, owner: int, removes: bool) -> None:
     if os.getpid() != owner:
         # After a fork, the lock still belongs to the parent.
         return
-    with contextlib.suppress(OSError):
-        (folder / LOCK_FILE).unlink()
+    if removes:
+        with contextlib.suppress(OSError):
+            (folder / LOCK_FILE).unlink()
     os.close(handle)

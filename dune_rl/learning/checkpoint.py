@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from dune_rl.core.errors import CheckpointError, DuneError
 from dune_rl.core.files import check_not_later, write_atomically
@@ -41,6 +41,38 @@ class _Content(BaseModel):
     groups: dict[str, _Entry]
     config: dict[str, Any]
     started_from: dict[str, dict[str, str]] = {}
+
+
+class _Counters(BaseModel, strict=True):
+    # As much as 64 bits of TensorBoard's steps hold, and more.
+    frames: int = Field(ge=0, lt=2**60)
+    next_save: int
+    next_evaluation: int
+    evaluated_at: int
+    best_score: float
+
+
+class _Collector(BaseModel, strict=True):
+    mode: str
+    scenes: int
+    warming: int | None
+    level: float | None = None
+
+
+class _Log(BaseModel, strict=True):
+    recent: dict[str, Any]
+    history: list[dict[str, Any]]
+    has_session: bool
+
+
+class _Progress(BaseModel):
+    """What a training goes on with, beside its learners: `Trainer` writes and reads it."""
+
+    counters: _Counters
+    collector: _Collector
+    log: _Log
+    random: dict[str, Any]
+    population: dict[str, Any] | None
 
 
 def write_checkpoint_file(path: Path, kind: str, content: Mapping[str, Any]) -> None:
@@ -100,6 +132,14 @@ def read_checkpoint_file(path: Path, *kinds: str) -> dict[str, Any]:
         if version == str(_OLD_POLICY_VERSION):
             content = _read_old_policy(content)
         _Content.model_validate(content)
+    return content
+
+
+def read_progress(path: Path) -> dict[str, Any]:
+    """The content of a run's checkpoint, with which a training goes on; raises CheckpointError."""
+    content = read_checkpoint_file(path, "checkpoint")
+    with interpreting(path):
+        _Progress.model_validate(content)
     return content
 
 

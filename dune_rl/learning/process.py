@@ -61,6 +61,27 @@ def stop_on_signals(announce: Callable[[str], None] = lambda line: None) -> Iter
 
 
 @contextmanager
+def closing_all(closes: Sequence[Callable[[], object]]) -> Iterator[None]:
+    """Call all of `closes` at the end; an error of one does not keep the others from closing.
+
+    Nor does it hide an error of the body, which matters more.
+    """
+    failed: list[Exception] = []
+    has_ended = False
+    try:
+        yield
+        has_ended = True
+    finally:
+        for close in closes:
+            try:
+                close()
+            except Exception as error:
+                failed.append(error)
+        if has_ended and failed:
+            raise failed[0]
+
+
+@contextmanager
 def blocked_signals() -> Iterator[None]:
     """Block `STOP_SIGNALS`, for processes that are started meanwhile: these inherit the mask for life.
 

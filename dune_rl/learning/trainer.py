@@ -2,7 +2,8 @@
 
 import errno
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -14,7 +15,14 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
-from dune_rl.core.errors import CheckpointError, DivergenceError, DuneWarning, TrainingError
+from dune_rl.core.errors import (
+    CheckpointError,
+    DivergenceError,
+    DuneError,
+    DuneWarning,
+    TrainingError,
+)
+from dune_rl.core.folder_lock import FolderLock
 from dune_rl.core.suggestions import typed_word
 from dune_rl.env.curriculum import CurriculumConf
 from dune_rl.learning.algorithm import MakeEnv
@@ -33,6 +41,7 @@ from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.population import make_population
 from dune_rl.learning.process import (
     StopRequest,
+    closing_all,
     keep_freed_memory,
     random_state,
     set_random_state,
@@ -83,7 +92,8 @@ class Trainer:
     while a driver teaches or demonstrates, which forgets what it saw; with
     worker processes, a resumed run starts new episodes. TensorBoard lists `hyperparameters` beside the
     results, and shows what `make_pictures(env, episodes)` draws of the first episodes of each evaluation. The
-    best policies are those with which the group `judged` does best; None: all groups in the mean.
+    best policies are those with which the group `judged` does best; None: all groups in the mean. The caller
+    may hold the `lock` of the folder, and then ends it.
 
     Raises CheckpointError if the folder cannot be written, already holds a
     run, or the checkpoint does not fit. `train` may be called once.
@@ -107,6 +117,7 @@ class Trainer:
         judged: str | None = None,
         action_repeat: int = 1,
         make_evaluation_env: MakeEnv | None = None,
+        lock: FolderLock | None = None,
     ) -> None:
         start_resource_tracker()
         source = find_checkpoint_file(resume, CHECKPOINT_FILE) if resume else None
@@ -116,7 +127,7 @@ class Trainer:
             for note in learning.notes_on_resuming(self._saved["config"].get("learning") or {}, device):
                 warnings.warn(note, DuneWarning, stacklevel=2)
         config = {**(config or {}), "learning": learning.model_dump(mode="json")}
-        self._folder = RunFolder(run_dir, config, fresh=source is None)
+        self._folder = RunFolder(run_dir, config, fresh=source is None, lock=lock)
         self._make_env, self._conf = make_env, learning
         self._seed, self._total_frames = seed, total_frames
         self._reporter = reporter or Reporter()
@@ -137,6 +148,7 @@ class Trainer:
         self._level: float | None = None
         self._judged, self._action_repeat = judged, action_repeat
         self._warmup = WarmUp(self._learners)
+        self._collector: TransitionCollector | None = None
         self._diverged = DivergedScenes(env.metric_names, self._reporter.note)
         self._updates_left_out = SkippedUpdates(self._learners, self._reporter.note)
         self._status = RunStatus(self._reporter, self._evaluation, total_frames)
@@ -189,11 +201,32 @@ class Trainer:
         """
         keep_freed_memory()
         end = min(self._total_frames, stop_after_frames or self._total_frames)
-        threads = torch.get_num_threads()
         is_whole = False
-        with self._reporter, stop_on_signals(self._reporter.note) as stop:
-            collector = self._make_collector()
-            torch.set_num_threads(self._threads)
+        try:
+            with self._reporter, stop_on_signals(self._reporter.note) as stop, self._explaining_disk_errors():
+                self._run(end, stop)
+            is_whole = True
+        finally:
+            self._folder.release(is_whole=is_whole)
+        return TrainingResult(
+            self._folder.path,
+            self.frames,
+            self.updates,
+            stop.signal,
+            {group: learner.context.spec for group, learner in self._learners.items()},
+            self._evaluation.rows,
+            self._evaluation.best_rows,
+            self._log.history,
+        )
+
+    def _run(self, end: int, stop: StopRequest) -> None:
+        """Train until `end` or until `stop`, save all, and close what the run has opened."""
+        threads = torch.get_num_threads()
+        torch.set_num_threads(self._threads)
+        closes = [self._close_collector, self._evaluation.close]
+        closes += [learner.close for learner in self._learners.values()]
+        with closing_all([*closes, partial(torch.set_num_threads, threads), self._log.close]):
+            collector = self._begin_phase()
             try:
                 if self.frames < end and self._evaluation.is_due(self.frames):
                     # A signal ended the run before this evaluation, or amid it.
@@ -203,18 +236,8 @@ class Trainer:
                     if stop():
                         break
                     if self.frames < end:
-                        collector.close()
-                        collector = self._make_collector()
-                finished = self.frames >= self._total_frames
-                if finished and not self._evaluation.is_done(self.frames) and not stop():
-                    self._evaluate(stop)
-                self._save(collector, with_experience=self._conf.checkpoint.replay or not finished)
-                if finished and self._evaluation.rows:
-                    objective = str(self.config.get("objective", ""))
-                    self._log.end_session(self._evaluation.rows, objective, self.frames)
-                self._log.write()
-                self._log.draw(self._title)
-                is_whole = True
+                        collector = self._begin_phase()
+                self._end(collector, stop)
             except DivergenceError as error:
                 # What was saved last is better than what there is now.
                 self._log.write()
@@ -229,31 +252,31 @@ class Trainer:
                     f"{error}\nAll is saved at {self.frames:,} frames; go on with "
                     f"{typed_word('resume', self._folder.path)}"
                 ) from error
-            except OSError as error:
-                if error.errno not in _DISK_ERRORS:
-                    raise
-                raise CheckpointError(
-                    f"{self._folder.path} cannot be written: {error.strerror}.\n"
-                    f"Free some space, or allow writing there. {self._folder.describe_last_save()}"
-                ) from error
-            finally:
-                collector.close()
-                self._evaluation.close()
-                for learner in self._learners.values():
-                    learner.close()
-                torch.set_num_threads(threads)
-                self._log.close()
-                self._folder.release(is_whole=is_whole)
-        return TrainingResult(
-            self._folder.path,
-            self.frames,
-            self.updates,
-            stop.signal,
-            {group: learner.context.spec for group, learner in self._learners.items()},
-            self._evaluation.rows,
-            self._evaluation.best_rows,
-            self._log.history,
-        )
+
+    def _end(self, collector: TransitionCollector, stop: StopRequest) -> None:
+        finished = self.frames >= self._total_frames
+        if finished and not self._evaluation.is_done(self.frames) and not stop():
+            self._evaluate(stop)
+        self._save(collector, with_experience=self._conf.checkpoint.replay or not finished)
+        if finished and self._evaluation.rows:
+            objective = str(self.config.get("objective", ""))
+            self._log.end_session(self._evaluation.rows, objective, self.frames)
+        self._log.write()
+        self._log.draw(self._title)
+
+    @contextmanager
+    def _explaining_disk_errors(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            if error.errno not in _DISK_ERRORS:
+                raise
+            # Why there was something to be written, such as the loss of a worker.
+            before = f"{error.__context__}\n" if isinstance(error.__context__, DuneError) else ""
+            raise CheckpointError(
+                f"{before}{self._folder.path} cannot be written: {error.strerror}.\n"
+                f"Free some space, or allow writing there. {self._folder.describe_last_save()}"
+            ) from error
 
     def _loop(self, collector: TransitionCollector, end: int, stop: StopRequest) -> None:
         for batch in collector:
@@ -293,6 +316,17 @@ class Trainer:
             # What the learners' policies do is not to be mixed with what others did, nor with their speed.
             self._log.clear_recent()
             self._status.speed.restart()
+
+    def _begin_phase(self) -> TransitionCollector:
+        """A collector for the present phase, in place of that of the phase before."""
+        self._close_collector()
+        self._collector = self._make_collector()
+        return self._collector
+
+    def _close_collector(self) -> None:
+        if self._collector is not None:
+            self._collector.close()
+            self._collector = None
 
     def _make_collector(self) -> TransitionCollector:
         """A collector for the present phase: warm-up policies in this process, then the learners'."""

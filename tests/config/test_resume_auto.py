@@ -14,12 +14,14 @@ from test_overrides import EXPERIMENTS
 from training import weights
 
 from dune_rl import train
+from dune_rl.commands import train as commands_train
 from dune_rl.commands.resuming import find_own_run
 from dune_rl.config.compose import compose
 from dune_rl.config.schema import Conf
 from dune_rl.core.folder_lock import LOCK_FILE
 from dune_rl.learning.checkpoint import write_checkpoint_file
 from dune_rl.learning.run import log, progress
+from dune_rl.learning.run.locks import lock_run
 from dune_rl.learning.run.progress import LineReporter, TrainingStatus
 
 Call = Callable[..., int]
@@ -128,7 +130,39 @@ def test_a_run_cut_off_as_it_writes_its_first_file_goes_on(
         with pytest.raises(KilledError):
             call(train.main, *AUTO, "run_dir=run")
     # Of these the next start takes no notice, as it would of files whose settings are not known.
-    assert {file.name for file in (folder / "run").iterdir()} <= {".lock", ".hydra"}
+    assert {file.name for file in (folder / "run").glob("*")} <= {".lock", ".hydra"}
+
+
+def test_a_second_command_leaves_the_folder_of_a_run_that_begins(
+    call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lock = lock_run(folder / "run")
+    (folder / "run" / ".hydra").mkdir()
+    (folder / "run" / ".hydra" / "config.yaml").write_text("of the first")
+    before = files_of(folder)
+    for words in (SHORT, AUTO):
+        assert call(train.main, *words, "run_dir=run") == 2
+        assert capsys.readouterr().err.startswith("Another run is writing to run.\n")
+        assert files_of(folder) == before
+    lock.release()
+
+
+@pytest.mark.slow
+def test_a_run_that_was_ended_amid_its_film_films_when_it_goes_on(
+    call: Call, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def end(*_: object) -> NoReturn:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as changed:
+        changed.setattr(commands_train, "film_run", end)
+        assert call(train.main, *AUTO, "run_dir=run", "film=true") == 130
+    filmed: list[Path] = []
+    monkeypatch.setattr(commands_train, "film_run", lambda *given: filmed.append(given[2].run_dir))
+    assert call(train.main, *AUTO, "run_dir=run", "film=true") == 0
+    assert len(filmed) == 1 and filmed[0].samefile(folder / "run")
+    assert call(train.main, *AUTO, "run_dir=run", "film=true") == 0
+    assert len(filmed) == 1
 
 
 @pytest.mark.slow
@@ -189,7 +223,8 @@ def test_each_job_of_a_sweep_finds_its_own_run(
     assert call(train.main, *words, "learning.tau=0.1") == 2
     error = capsys.readouterr().err
     for number, job in enumerate(jobs):
-        assert f"job {number} failed: {job} holds a run of other settings: learning.tau=0.1" in error
+        shown = job.relative_to(folder)
+        assert f"job {number} failed: {shown} holds a run of other settings: learning.tau=0.1" in error
     assert [files_of(job) for job in jobs] == before
 
 
@@ -197,10 +232,11 @@ def test_each_job_of_a_sweep_finds_its_own_run(
 def test_a_finished_run_still_has_its_objective(call: Call, folder: Path) -> None:
     words = [*AUTO, "run_dir=run", "objective=min_clearance"]
     assert call(train.main, *words) == 0
-    run = find_own_run(compose(Conf, words), ())
+    lock = lock_run(folder / "run")
+    run = find_own_run(compose(Conf, words), (), lock)
     # Nothing is near on flat ground without actors.
     assert run is not None and run.is_finished and run.objective == pytest.approx(12.0)
-    more = find_own_run(compose(Conf, [*words, "total_frames=96"]), ())
+    more = find_own_run(compose(Conf, [*words, "total_frames=96"]), (), lock)
     assert more is not None and not more.is_finished and more.conf.total_frames == 96
 
 

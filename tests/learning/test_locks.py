@@ -14,10 +14,11 @@ import torch
 from tensorboard.summary.writer.record_writer import RecordWriter
 from training import small, trainer
 
-from dune_rl.core.errors import CheckpointError
+from dune_rl.core import folder_lock
+from dune_rl.core.errors import CheckpointError, DuneWarning
 from dune_rl.learning.checkpoint import read_checkpoint_file, write_checkpoint_file
 from dune_rl.learning.run.folder import RunFolder
-from dune_rl.learning.run.locks import check_unused, lock_run
+from dune_rl.learning.run.locks import check_unused, lock_run, remove_beginnings
 from dune_rl.learning.run.progress import Reporter, TrainingStatus
 from dune_rl.learning.settings import CheckpointConf
 
@@ -37,8 +38,6 @@ def test_a_second_run_in_a_folder_is_refused(tmp_path: Path) -> None:
         CheckpointError, match=r"Another run is writing to .*\nName another folder with run_dir"
     ):
         trainer(tmp_path)
-    with pytest.raises(CheckpointError, match="Another run"):
-        check_unused(tmp_path)
     first.train(stop_after_frames=128)
     with pytest.raises(CheckpointError, match="already holds a run"):
         check_unused(tmp_path)
@@ -54,6 +53,17 @@ def test_a_new_run_leaves_what_a_crashed_one_left_alone(tmp_path: Path) -> None:
     assert [file.name for file in tmp_path.iterdir()] == ["events.out.tfevents.1"]
 
 
+@pytest.mark.parametrize("result", [None, "metrics.csv", "policy_best.pt", "checkpoint.pt"])
+def test_only_a_run_without_results_makes_room_for_the_corrected_command(
+    result: str | None, tmp_path: Path
+) -> None:
+    for name in ("config.yaml", "events.out.tfevents.1", *([result] if result else [])):
+        (tmp_path / name).touch()
+    remove_beginnings(tmp_path)
+    left = {file.name for file in tmp_path.iterdir()}
+    assert left == ({"config.yaml", "events.out.tfevents.1", result} if result else set())
+
+
 def test_a_killed_run_leaves_no_lock_behind(tmp_path: Path) -> None:
     holder = subprocess.Popen([sys.executable, "-c", HOLD, str(tmp_path)], stdout=subprocess.PIPE, text=True)
     assert holder.stdout is not None and holder.stdout.readline() == "locked\n"
@@ -64,11 +74,34 @@ def test_a_killed_run_leaves_no_lock_behind(tmp_path: Path) -> None:
     holder.stdout.close()
     for _ in range(50):
         try:
-            check_unused(tmp_path)
+            lock = lock_run(tmp_path)
             break
         except CheckpointError:
             time.sleep(0.1)
-    lock_run(tmp_path).release()
+    assert lock.was_left
+    check_unused(tmp_path)
+    lock.release()
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_file_of_a_lock_stays_until_all_is_whole(tmp_path: Path) -> None:
+    lock = lock_run(tmp_path)
+    lock.keep_file()
+    lock.release()
+    assert not lock.is_held
+    again = lock_run(tmp_path)
+    assert again.was_left and again.is_held
+    again.keep_file()
+    again.finish()
+    again.release()
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_system_without_locks_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(folder_lock, "try_lock", lambda handle: None)
+    with pytest.warns(DuneWarning, match="without locks of files"):
+        assert not lock_run(tmp_path).is_held
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("name", ["replay-rover-64.npy", "config.yaml", "checkpoint.pt", "curve.png"])

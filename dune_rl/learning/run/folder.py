@@ -1,14 +1,13 @@
 """The folder of a training run: its checkpoint, and the files of policies and experience."""
 
-import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from dune_rl.core.errors import CheckpointError
 from dune_rl.core.files import write_atomically
+from dune_rl.core.folder_lock import FolderLock
 from dune_rl.core.suggestions import typed_word
 from dune_rl.learning.algorithm import Algorithm
 from dune_rl.learning.checkpoint import (
@@ -38,47 +37,47 @@ _WRITTEN = (
 class RunFolder:
     """Writes what a run keeps in `path`; `config` is the resolved configuration, stored beside the weights.
 
-    So is `started_from`: by group, the file of the weights with which a run began, and its SHA-256. Raises
-    CheckpointError if the folder cannot be written, if another run is writing there, or with `fresh` if it
-    already holds a run.
+    So is `started_from`: by group, the file of the weights with which a run began, and its SHA-256. The
+    caller may hold the folder's `lock`, and then ends it. Raises CheckpointError if the folder cannot be
+    written, if another run is writing there, or with `fresh` if it already holds a run.
     """
 
-    def __init__(self, path: Path, config: Mapping[str, Any], *, fresh: bool) -> None:
+    def __init__(
+        self, path: Path, config: Mapping[str, Any], *, fresh: bool, lock: FolderLock | None = None
+    ) -> None:
         self.path = path
         self.config = dict(config)
         self.started_from: Mapping[str, Mapping[str, str]] = {}
+        self._lock = lock or lock_run(path)
+        self._own_lock = lock is None
         if fresh:
             check_unused(path)
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-            # Without a name, which a process that is killed would leave.
-            with tempfile.TemporaryFile(dir=path):
-                pass
-        except OSError as error:
-            raise CheckpointError(
-                f"The folder {path} cannot be written: {error.strerror or error}.\n"
-                "Name another folder for the run."
-            ) from error
-        self._lock = lock_run(path)
         # Of a run that was killed amid a save, perhaps as large as its replay buffer.
         for name in _WRITTEN if self._lock.is_held else ():
             for file in path.glob(f".{name}.*.tmp"):
                 file.unlink(missing_ok=True)
 
     def save_config(self) -> None:
-        """Write the configuration, before any other file: by it `resume=auto` knows whose the others are."""
+        """Write the configuration, before any other file: by it `resume=auto` knows whose the others are.
+
+        From now on the lock's file marks a run that was cut off, unless `release` says that all is whole.
+        """
+        self._lock.keep_file()
         with write_atomically(self.path / CONFIG_FILE) as temporary:
             temporary.write_text(yaml.safe_dump(self.config, sort_keys=False))
 
     def release(self, *, is_whole: bool = True) -> None:
-        """Let others have the folder; unless it `is_whole`, with a mark that a run was cut off in it."""
-        self._lock.release(keep_file=not is_whole)
+        """Let others have the folder, unless the caller holds the lock; a second call does nothing."""
+        if self._own_lock and is_whole:
+            self._lock.finish()
+        elif self._own_lock:
+            self._lock.release()
 
     def describe_last_save(self) -> str:
         """What a run that ends without another save can be gone on from."""
         if (self.path / CHECKPOINT_FILE).exists():
             return f"The last save is whole; go on from it with {typed_word('resume', self.path)}"
-        return "Nothing was saved; begin again"
+        return "Nothing was saved to go on from; begin again, with another run_dir"
 
     def save_policies(
         self, learners: Mapping[str, Algorithm], frames: int, score: Mapping[str, Any] | None = None

@@ -1,15 +1,16 @@
 """Folders that a run may write to, and the cores that jobs of a sweep share."""
 
 import contextlib
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from dune_rl.core.errors import CheckpointError
 from dune_rl.core.files import try_lock
-from dune_rl.core.folder_lock import LOCK_FILE, FolderLock
+from dune_rl.core.folder_lock import FolderLock
 from dune_rl.core.suggestions import typed_word
-from dune_rl.learning.checkpoint import CHECKPOINT_FILE
+from dune_rl.learning.checkpoint import CHECKPOINT_FILE, CONFIG_FILE
 
 # Files of a run, which may have no checkpoint: it was cut off early, or published without it.
 _OF_A_RUN = ("events.out.tfevents.*", "metrics.csv", "policy_*.pt", "replay-*")
@@ -17,13 +18,26 @@ _POLL_S = 0.2
 
 
 def lock_run(folder: Path) -> FolderLock:
-    """The lock of a run's folder; raises CheckpointError if another process has it."""
+    """The lock of a run's folder, which is made where there is none.
+
+    Raises CheckpointError if another process has it, or if the folder cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        # Without a name, which a process that is killed would leave.
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise CheckpointError(
+            f"The folder {folder} cannot be written: {error.strerror or error}.\n"
+            "Name another folder for the run."
+        ) from error
     taken = f"Another run is writing to {folder}.\nName another folder with run_dir, or wait until it ends."
     return FolderLock(folder, CheckpointError(taken))
 
 
 def check_unused(folder: Path) -> None:
-    """Raise CheckpointError if `folder`, which need not exist, holds files of a run.
+    """Raise CheckpointError if `folder`, whose lock the caller holds, has files of a run.
 
     A new run would mix its files with those.
     """
@@ -32,9 +46,7 @@ def check_unused(folder: Path) -> None:
             f"{folder} already holds a run; continue it with {typed_word('resume', folder)}, or choose "
             "another run_dir"
         )
-    if (folder / LOCK_FILE).exists():
-        lock_run(folder).release()
-    left = next((file for pattern in _OF_A_RUN for file in folder.glob(pattern)), None)
+    left = next(iter(_files_of_a_run(folder)), None)
     if left is not None:
         raise CheckpointError(
             f"{folder} holds {left.name} of an earlier run, and no {CHECKPOINT_FILE} to go on with: choose "
@@ -43,14 +55,25 @@ def check_unused(folder: Path) -> None:
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Remove the files of a run in `folder` that was cut off before its first save.
-
-    Raises CheckpointError if that run is still going on.
-    """
-    lock = lock_run(folder)
-    for file in [file for pattern in _OF_A_RUN for file in folder.glob(pattern)]:
+    """Remove the files of a run without a save from `folder`, whose lock the caller holds."""
+    for file in _files_of_a_run(folder):
         file.unlink()
-    lock.release()
+
+
+def remove_beginnings(folder: Path) -> None:
+    """Remove the files of a run that ended before it learned anything from `folder`.
+
+    The corrected command may use the folder. Files of a run with results stay, and say whose they are.
+    """
+    begun = {*folder.glob("events.out.tfevents.*"), folder / CONFIG_FILE}
+    if (folder / CHECKPOINT_FILE).exists() or {*_files_of_a_run(folder)} - begun:
+        return
+    for file in begun:
+        file.unlink(missing_ok=True)
+
+
+def _files_of_a_run(folder: Path) -> list[Path]:
+    return [file for pattern in _OF_A_RUN for file in folder.glob(pattern)]
 
 
 @contextlib.contextmanager
