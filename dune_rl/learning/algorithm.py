@@ -13,7 +13,7 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 
 from dune_rl.learning.group_policy import GroupPolicy
-from dune_rl.learning.networks.policy import Architecture, make_policy_network
+from dune_rl.learning.networks.policy import Architecture, load_weights, make_policy_network
 from dune_rl.learning.policy_spec import PolicySpec
 
 # Of the number of scenes and a seed; with a curriculum, also of it, by its name.
@@ -125,12 +125,12 @@ class Algorithm(ABC):
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """The inverse of `state_dict`."""
-        self.policy.network.load_state_dict(state["policy"])
+        load_weights(self.policy.network, state["policy"])
         self.updates = state["updates"]
 
     def start_from(self, saved: Mapping[str, Any]) -> None:
         """Begin with the weights of an earlier run's learner: its `state_dict`, or its policy's alone."""
-        self.policy.network.load_state_dict(saved["policy"])
+        load_weights(self.policy.network, saved["policy"])
 
     def has_new_critics(self, entry: Mapping[str, Any]) -> bool:
         """Whether critics begin with random weights in a run that starts from a file's `entry`."""

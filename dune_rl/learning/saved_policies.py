@@ -13,6 +13,7 @@ from dune_rl.core.errors import CheckpointError
 from dune_rl.learning.algorithm import Algorithm
 from dune_rl.learning.checkpoint import interpreting, read_policy_file
 from dune_rl.learning.group_policy import Deterministic, GroupPolicy, JointPolicy
+from dune_rl.learning.networks.policy import load_weights
 from dune_rl.learning.policy_spec import PolicySpec
 from dune_rl.learning.registry import algorithm_class
 
@@ -61,7 +62,7 @@ class SavedPolicy:
             network: TensorDictModuleBase = algorithm_class(self.algorithm, "the policy").make_network(
                 self.spec, self.network, device
             )
-            network.load_state_dict(self.weights)
+            load_weights(network, self.weights)
         return network
 
 

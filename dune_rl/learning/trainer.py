@@ -30,7 +30,7 @@ from dune_rl.learning.checkpoint import (
     CHECKPOINT_FILE,
     find_checkpoint_file,
     interpreting,
-    read_checkpoint_file,
+    read_progress,
 )
 from dune_rl.learning.collector import TransitionCollector, learner_threads
 from dune_rl.learning.evaluation import EvaluationPictures, PeriodicEvaluation
@@ -43,6 +43,7 @@ from dune_rl.learning.process import (
     StopRequest,
     closing_all,
     keep_freed_memory,
+    preserve_random_state,
     random_state,
     set_random_state,
     start_resource_tracker,
@@ -121,7 +122,7 @@ class Trainer:
     ) -> None:
         start_resource_tracker()
         source = find_checkpoint_file(resume, CHECKPOINT_FILE) if resume else None
-        self._saved = read_checkpoint_file(source, "checkpoint") if source else None
+        self._saved = read_progress(source) if source else None
         learning = learning.resolved(device)
         if self._saved is not None:
             for note in learning.notes_on_resuming(self._saved["config"].get("learning") or {}, device):
@@ -164,6 +165,9 @@ class Trainer:
                 self._evaluation.restore(counters)
                 if self._population is not None and self._saved["population"] is not None:
                     self._population.restore(self._saved["population"])
+                # It is set when the collector is made, when it is too late to refuse the file.
+                with preserve_random_state():
+                    set_random_state(self._saved["random"])
         self._pictures = None
         if make_pictures is not None and evaluation.tracks:
             self._pictures = make_pictures(env, min(evaluation.tracks, evaluation.episodes))

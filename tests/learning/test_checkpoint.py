@@ -4,11 +4,12 @@ import os
 import pickle
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 from point_mass import PointMass, make_point_mass
-from training import make_sac
+from training import make_sac, trainer
 
 from dune_rl.core.errors import CheckpointError
 from dune_rl.core.files import write_atomically
@@ -166,6 +167,48 @@ def test_another_format(saved: Path, version: int) -> None:
 def test_wrong_kind(saved: Path) -> None:
     with pytest.raises(CheckpointError, match="is a policy, but a checkpoint"):
         read_checkpoint_file(saved, "checkpoint")
+
+
+def test_weights_that_are_not_finite_are_refused(saved: Path) -> None:
+    content = torch.load(saved, weights_only=True)
+    for values in content["groups"]["rover"]["policy"].values():
+        values.fill_(torch.nan)
+    torch.save(content, saved)
+    with pytest.raises(CheckpointError, match=r"is damaged, .*weights that are not finite"):
+        load_policy(saved, PointMass(1, 0))
+
+
+def change(content: dict[str, Any], path: str, value: Any) -> None:
+    """Set the entry at a dotted `path`; delete it where `value` is None."""
+    *parents, last = path.split(".")
+    for name in parents:
+        content = content[name]
+    if value is None:
+        del content[last]
+    else:
+        content[last] = value
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        *(("random", None), ("random.numpy", None), ("random.torch", torch.zeros(3)), ("log", None)),
+        *(("log.history", 3), ("collector.warming", "a"), ("counters.best_score", "a")),
+        *(("counters.frames", 10**30), ("counters.frames", -5), ("groups.rover.learner.policy", {})),
+    ],
+)
+def test_a_checkpoint_with_a_damaged_entry_is_refused_and_nothing_is_written(
+    path: str, value: Any, tmp_path: Path
+) -> None:
+    run = tmp_path / "run"
+    trainer(run).train(stop_after_frames=64)
+    content = torch.load(run / "checkpoint.pt", weights_only=True)
+    change(content, path, value)
+    torch.save(content, run / "checkpoint.pt")
+    before = {file.name: file.read_bytes() for file in run.iterdir()}
+    with pytest.raises(CheckpointError, match=r"checkpoint\.pt is damaged"):
+        trainer(run, resume=run)
+    assert {file.name: file.read_bytes() for file in run.iterdir()} == before
 
 
 def test_another_observation_is_named(saved: Path) -> None:

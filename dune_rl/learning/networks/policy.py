@@ -255,6 +255,14 @@ class Actor(nn.Module):
         last.bias.copy_(torch.tensor([0.0, math.atanh(2 * share - 1)]).repeat_interleave(len(last.bias) // 2))
 
 
+def load_weights(network: nn.Module, weights: Mapping[str, Tensor]) -> None:
+    """Load a saved state; raises ValueError for weights not finite, RuntimeError where it does not fit."""
+    network.load_state_dict(weights)
+    # Buffers may be infinite, such as a temperature of none.
+    if not all(bool(values.isfinite().all()) for values in network.parameters()):
+        raise ValueError("weights that are not finite")
+
+
 def make_policy_network(
     spec: PolicySpec, architecture: Architecture, device: torch.device | str = "cpu"
 ) -> TensorDictSequential:
