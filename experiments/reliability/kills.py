@@ -1,17 +1,19 @@
 """Training runs that are ended at random moments, and resumed: does each end as an unbroken run does?
 
 `python experiments/reliability/kills.py FOLDER` adds to `FOLDER/kills.csv` the rows that it lacks, one for
-each run: 34 are killed at any moment and 10 near their end, 21 amid the save of a file (from a moment on, as
+each run: 34 are killed at any moment and 10 near their end, 26 amid the save of a file (from a moment on, as
 soon as the run's folder has the temporary file of that), 10 get SIGTERM, and 10 SIGINT twice. A moment is a
-share of the processor time of an unbroken run, so that it hardly depends on what else the machine does. A run
-is a fork of this process, which has loaded the libraries, and does what `python -m dune_rl.train ...
-resume=auto` does from there on, both times.
+share of the processor time of an unbroken run, so that it hardly depends on what else the machine does. The
+run that is ended is a fork of this process, which has loaded the libraries, and does what `python -m
+dune_rl.train ... resume=auto` does from there on; it is resumed by that command, in a new process whose
+hashes are others.
 """
 
 import os
 import re
 import shutil
 import signal
+import subprocess
 import sys
 import tempfile
 import time
@@ -27,6 +29,7 @@ import torch
 
 from dune_rl import train
 from dune_rl.commands import train as _command  # noqa: F401
+from dune_rl.commands.end_of_training import FILM_FILE
 from dune_rl.core.files import read_csv, write_csv
 from dune_rl.core.machine import short_commit
 from dune_rl.learning import trainer as _loaded_once  # noqa: F401
@@ -39,7 +42,6 @@ SETTINGS = (
     "+world=flat",
     "seed=1",
     f"total_frames={_TOTAL_FRAMES}",
-    "film=false",
     "task.terminations.time_limit.max_steps=60",
     "learning.learning_starts=512",
     "learning.batch_size=64",
@@ -69,6 +71,7 @@ ENDINGS = {
     "SIGINT twice": 10,
     "SIGKILL near the end": 10,
     f"{_AMID}{CURVE_FILE}": 5,
+    f"{_AMID}{FILM_FILE}": 5,
 }
 # Shares of an unbroken run's processor time between which moments are drawn.
 _MOMENTS, _LATE_MOMENTS = (0.0, 0.95), (0.85, 1.0)
@@ -107,6 +110,7 @@ class Kill:
     metrics_equal: int = 0
     files_equal: int = 0
     left: str = ""
+    missing: str = ""
     commit: str = ""
 
 
@@ -161,6 +165,14 @@ def run(
         time.sleep(_POLL_S)
 
 
+def resume(words: Sequence[str], log: Path, number: int) -> int:
+    """The exit code of the command in a new process; its output is the new `log`."""
+    environment = {**os.environ, "PYTHONHASHSEED": str(number)}
+    command = [sys.executable, "-m", "dune_rl.train", *words]
+    with log.open("w") as output:
+        return subprocess.run(command, stdout=output, stderr=output, env=environment, check=False).returncode
+
+
 def processor_time(process: int) -> float:
     """What a process has used so far [s]."""
     words = Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()
@@ -197,7 +209,9 @@ def _are_equal(ones: list[torch.Tensor], others: list[torch.Tensor]) -> int:
 def end_and_resume(number: int, ending: str, folder: Path, unbroken: Path, whole_s: float) -> Kill:
     amid = ending.removeprefix(_AMID) if ending.startswith(_AMID) else None
     rng = np.random.default_rng([_SEED, number])
-    words, log = [*SETTINGS, f"run_dir={folder}", "resume=auto"], folder.with_suffix(".log")
+    has_film = amid == FILM_FILE
+    words = [*SETTINGS, f"film={str(has_film).lower()}", f"run_dir={folder}", "resume=auto"]
+    log = folder.with_suffix(".log")
     code, moment, took_s = 0, 0.0, 0.0
     # A run that came to its end before its moment, so that nothing was sent to it, is begun anew.
     while took_s == 0.0:
@@ -216,8 +230,7 @@ def end_and_resume(number: int, ending: str, folder: Path, unbroken: Path, whole
             row.saved_frames = torch.load(folder / CHECKPOINT_FILE, weights_only=True)["counters"]["frames"]
         except (OSError, RuntimeError, ValueError, KeyError):
             row.saved_frames = -1
-    log.unlink()
-    row.resumed, _, _ = run(words, log)
+    row.resumed = resume(words, log, number)
     # It says so after the first batch, or in an evaluation that was cut off and comes before; only a run that
     # was saved at its end has none left.
     first = re.search(r"^(evaluat)?.*?([\d,]+) of [\d,]+ frames", log.read_text(), re.MULTILINE)
@@ -234,6 +247,8 @@ def end_and_resume(number: int, ending: str, folder: Path, unbroken: Path, whole
         named = {path.name for path in unbroken.glob("replay-*")}
         replays = [path.name for path in folder.glob("replay-*") if path.name not in named]
         row.left = " ".join([*temporary_files(folder), *replays])
+        wanted = {path.name for path in unbroken.glob("[!.e]*")} | ({FILM_FILE} if has_film else set())
+        row.missing = " ".join(sorted(wanted - {path.name for path in folder.iterdir()}))
     row.commit = short_commit()
     return row
 
@@ -250,7 +265,8 @@ def main() -> None:
         # The first one also loads and compiles what the others find.
         for _ in range(2):
             shutil.rmtree(runs / "unbroken", ignore_errors=True)
-            code, whole_s, _ = run([*SETTINGS, f"run_dir={runs / 'unbroken'}"], runs / "unbroken.log")
+            words = [*SETTINGS, "film=false", f"run_dir={runs / 'unbroken'}"]
+            code, whole_s, _ = run(words, runs / "unbroken.log")
         if code:
             sys.exit(f"The unbroken run ended with exit code {code}:\n{(runs / 'unbroken.log').read_text()}")
         rows: list[Mapping[str, object]] = [*read_csv(table)]

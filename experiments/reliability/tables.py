@@ -82,8 +82,8 @@ def kills_table(folder: Path) -> str:
         "| ended by | exit code | runs | before the first save | with a temporary file "
         "| longest time from signal to exit | went on from the save | had come to its end "
         "| ended with code 0 | equal weights | equal `metrics.csv` and `curve.png` "
-        "| equal policy files | runs with files left over |",
-        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
+        "| equal policy files | runs with files left over | that lack a file |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
     ]
     rows = read_csv(folder / "kills.csv")
     for ending in dict.fromkeys(row["ending"] for row in rows):
@@ -100,7 +100,7 @@ def kills_table(folder: Path) -> str:
         cells += [
             sum(int(row[name]) for row in own) for name in ("weights_equal", "metrics_equal", "files_equal")
         ]
-        cells += [sum(bool(row["left"]) for row in own)]
+        cells += [sum(bool(row[name]) for row in own) for name in ("left", "missing")]
         lines.append(f"| {ending} | {' | '.join(map(str, cells))} |")
     return "\n".join(lines)
 
