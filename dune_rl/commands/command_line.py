@@ -13,7 +13,7 @@ import sys
 import threading
 import warnings
 from argparse import Namespace
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
 from types import FrameType
@@ -65,6 +65,9 @@ class ReportedError(DuneError):
 
 class Terminated(BaseException):
     """SIGTERM as an exception, so that every `finally` runs."""
+
+
+_STOPS = ((KeyboardInterrupt, signal.SIGINT), (Terminated, signal.SIGTERM))
 
 
 def command(name: str) -> Callable[[], NoReturn]:
@@ -142,9 +145,9 @@ def run_command(page: HelpPage, body: Callable[[Sequence[str]], None]) -> NoRetu
         if message is None:
             raise
         exit_with_error(message)
-    except Exception:
+    except Exception as error:
         # Another thread may clear them.
-        lost = [*_lost_signals]
+        lost = [*_lost_signals, *_signals_behind(error)]
         if not lost:
             raise
         # The library whose callback lost the signal failed for want of what that was to do.
@@ -176,7 +179,7 @@ def _stop_later(unraisable: "sys.UnraisableHookArgs") -> None:
 
     Python would print the exception, and go on.
     """
-    for stop, number in ((KeyboardInterrupt, signal.SIGINT), (Terminated, signal.SIGTERM)):
+    for stop, number in _STOPS:
         if issubclass(unraisable.exc_type, stop):
             _lost_signals.append(number)
             again = threading.Timer(_AGAIN_S, _signal_main_thread, [number])
@@ -184,6 +187,15 @@ def _stop_later(unraisable: "sys.UnraisableHookArgs") -> None:
             again.start()
             return
     sys.__unraisablehook__(unraisable)
+
+
+def _signals_behind(error: BaseException | None) -> Iterator[signal.Signals]:
+    """The signals whose exceptions a library in C turned into an error of its own, as Ray's does."""
+    while error is not None:
+        for stop, number in _STOPS:
+            if isinstance(error, stop):
+                yield number
+        error = error.__cause__ or error.__context__
 
 
 def _signal_main_thread(number: signal.Signals) -> None:

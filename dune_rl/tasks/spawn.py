@@ -177,6 +177,13 @@ class Spawner:
         where, spawn = self._where, self._body.spawn
         if not in_region.any():
             return f"{where} is smaller than one cell of {free.cell_m:.2f} m: widen {spawn}.region."
+        if not free.inside.any():
+            xmin, xmax, ymin, ymax = self._world.extent
+            return (
+                f"the world {self._world.name!r} is {xmax - xmin:.3g} by {ymax - ymin:.3g} m, and starts and "
+                "goals keep 1 m from its edge, so that it has no room for them: take a larger world, or "
+                "another unit of its file (world.unit_m)."
+            )
         if not (in_region & free.inside).any():
             return f"{where} lies within 1 m of the world's edge: move or widen {spawn}.region."
         if free.steep[in_region].all():

@@ -28,6 +28,13 @@ def in_a_callback_without_which_it_fails(parsed):
     called_from_c()
     raise RuntimeError("no compiled object yet")
 
+def in_a_library_that_turns_it_into_an_error(parsed):
+    try:
+        os.kill(os.getpid(), signal.SIGNAL)
+        time.sleep(60.0)
+    except BaseException as stopped:
+        raise SystemError("returned a result with an exception set") from stopped
+
 run_command(HelpPage("A command.", (), (), ""), BODY)
 """
 
@@ -46,6 +53,12 @@ def test_an_interruption_is_said() -> None:
 def test_what_a_callback_from_c_loses_is_repeated(name: str, code: int, said: str) -> None:
     ended = run("in_a_callback", name)
     assert (ended.returncode, ended.stdout, ended.stderr) == (code, "", said)
+
+
+@pytest.mark.parametrize(("name", "code", "said"), [("SIGINT", 130, "Interrupted\n"), ("SIGTERM", 143, "")])
+def test_a_signal_that_a_library_turns_into_an_error_is_one(name: str, code: int, said: str) -> None:
+    ended = run("in_a_library_that_turns_it_into_an_error", name)
+    assert (ended.returncode, ended.stderr) == (code, said)
 
 
 @pytest.mark.parametrize(("name", "code", "said"), [("SIGINT", 130, "Interrupted\n"), ("SIGTERM", 143, "")])

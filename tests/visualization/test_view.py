@@ -8,6 +8,7 @@ from pathlib import Path
 import av
 import numpy as np
 import pytest
+import trimesh
 import yaml
 from PIL import Image
 from rich.console import Console
@@ -339,3 +340,14 @@ def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError) as refused, write_atomically(path):
         pass
     assert refused.value.filename == str(path)
+
+
+@pytest.mark.filterwarnings("ignore:.*try world.unit_m=1000")
+def test_a_world_without_room_is_told_with_its_size(
+    call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    trimesh.creation.box((1.0, 0.5, 0.1)).export(folder / "small.obj")
+    assert call("+world=mesh", "world.path=small.obj", "view=map", "actors=none") == 2
+    said = capsys.readouterr().err
+    assert "the world 'mesh' is 1 by 0.5 m, and starts and goals keep 1 m from its edge" in said
+    assert "world.unit_m" in said and not (folder / "views").exists()
