@@ -117,6 +117,7 @@ def run_command(page: HelpPage, body: Callable[[Sequence[str]], None]) -> NoRetu
     warnings.showwarning = _warn
     if sys.unraisablehook is sys.__unraisablehook__:
         sys.unraisablehook = _stop_later
+    threading.excepthook = _tell_error_of_thread
     # TorchRL logs each buffer that it allocates.
     logging.getLogger("torchrl").setLevel(logging.WARNING)
     try:
@@ -238,6 +239,16 @@ def _describe_missing(error: ModuleNotFoundError) -> str | None:
         f"dune_rl needs {package}, which is not installed; pip install '{package}', "
         f"and {shell_command('dune_rl.doctor')} names all that is missing"
     )
+
+
+def _tell_error_of_thread(failed: threading.ExceptHookArgs) -> None:
+    """A line where a thread, such as TensorBoard's, meets what a user can mend, such as a full disk."""
+    error = failed.exc_value
+    message = describe_user_error(error) if isinstance(error, DuneError | OSError) else None
+    if message is None:
+        threading.__excepthook__(failed)
+    else:
+        print_error(message)
 
 
 def _cut_line(line: str) -> str:

@@ -92,6 +92,14 @@ def _run_hydra(words: Sequence[str]) -> None:
         hydra.main(version_base="1.3", config_path=str(paths.conf_folder()), config_name="train")(_job)()
     except (HydraException, OmegaConfBaseException) as error:
         raise ConfigError(_explain(str(error).splitlines()[0], words)) from error
+    except Exception as error:
+        reason = str(error).partition("\n")[0]
+        if not (type(error).__module__.startswith("submitit.") or 'Could not detect "srun"' in reason):
+            raise
+        raise ConfigError(
+            f"Slurm: {reason}; submit jobs where sinfo lists nodes, and see the logs in .submitit below "
+            "hydra.sweep.dir"
+        ) from error
 
 
 def _explain(message: str, words: Sequence[str]) -> str:

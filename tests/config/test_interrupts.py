@@ -6,7 +6,7 @@ import sys
 import pytest
 
 PROGRAM = """
-import ctypes, os, signal, time
+import ctypes, errno, os, signal, threading, time
 from dune_rl.commands.command_line import run_command
 from dune_rl.commands.pages import HelpPage
 
@@ -35,6 +35,14 @@ def in_a_library_that_turns_it_into_an_error(parsed):
     except BaseException as stopped:
         raise SystemError("returned a result with an exception set") from stopped
 
+def with_a_thread_on_a_full_disk(parsed):
+    def write():
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "events")
+
+    thread = threading.Thread(target=write)
+    thread.start()
+    thread.join()
+
 run_command(HelpPage("A command.", (), (), ""), BODY)
 """
 
@@ -47,6 +55,11 @@ def run(body: str, signal: str = "SIGINT") -> subprocess.CompletedProcess[str]:
 def test_an_interruption_is_said() -> None:
     ended = run("at_once")
     assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "Interrupted\n")
+
+
+def test_a_thread_that_meets_a_full_disk_says_so_in_a_line() -> None:
+    ended = run("with_a_thread_on_a_full_disk")
+    assert ended.stderr == "cannot write events: the disk is full; choose another place\n"
 
 
 @pytest.mark.parametrize(("name", "code", "said"), [("SIGINT", 130, "Interrupted\n"), ("SIGTERM", 143, "")])

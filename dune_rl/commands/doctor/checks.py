@@ -16,6 +16,18 @@ if TYPE_CHECKING:
 
 # What extras of the package are for.
 _EXTRAS = {"onnx": "policies in ONNX files"}
+# What results depend on most.
+_MAIN_PACKAGES = (
+    "numpy",
+    "numba",
+    "torch",
+    "torchrl",
+    "tensordict",
+    "pybullet",
+    "dartpy",
+    "gymnasium",
+    "pettingzoo",
+)
 _WIDTH = 10
 _INSTALL = "pip install -c constraints.txt -e ."
 
@@ -54,6 +66,8 @@ def check_packages(tested: Mapping[str, str]) -> list[Finding]:
             wanted = f"{package.name}=={_public(tested[package.name])}" if package.name in tested else package
             text = f"{told}, but {package.specifier} is needed: pip install '{wanted}'"
             found.append(Finding("package", text, is_fault=True))
+    main = ", ".join(f"{name} {here[name]}" for name in _MAIN_PACKAGES if name in here)
+    found.append(Finding("libraries", main))
     others = other_versions(here, tested)
     text = "as in the reference"
     if others:
