@@ -36,7 +36,7 @@ from dune_rl.core.errors import CheckpointError, ConfigError, DuneError
 from dune_rl.core.files import removing_empty
 from dune_rl.core.folder_lock import LOCK_FILE, FolderLock
 from dune_rl.core.machine import available_cores
-from dune_rl.core.ray_cluster import check_installed
+from dune_rl.core.ray_cluster import check_usable
 from dune_rl.core.suggestions import text_word
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE
 from dune_rl.learning.run.locks import check_unused, lock_run, remove_beginnings, reserve_cores
@@ -320,7 +320,7 @@ def _check_device(conf: Conf) -> None:
 def _check_machine(conf: Conf) -> None:
     _check_device(conf)
     if conf.learning.collector.mode == "ray":
-        check_installed("learning.collector.mode=ray")
+        check_usable("learning.collector.mode=ray")
     processes, cores = conf.learning.collector.processes_here, available_cores()
     # A single thread of the learner is busy for a part of the time: workers may take all cores.
     threads = conf.learning.threads or 1

@@ -27,6 +27,23 @@ def is_elsewhere() -> bool:
     return bool(os.environ.get("RAY_ADDRESS"))
 
 
+def check_usable(setting: str) -> None:
+    """Raise ConfigError unless Ray is installed, and a cluster answers at RAY_ADDRESS where that is set.
+
+    `setting` (KEY=VALUE) asks for Ray. No cluster is started, and no connection stays open.
+    """
+    check_installed(setting)
+    if is_elsewhere():
+        RayCluster(setting, cpus=1).close()
+
+
+def _check_answers(address: str) -> None:
+    """Raise OSError if nothing accepts a connection at `address`, where that is HOST:PORT."""
+    host, _, port = address.rpartition("://")[2].rpartition(":")
+    if port.isdigit():
+        socket.create_connection((host.strip("[]"), int(port)), timeout=_ANSWER_S).close()
+
+
 class RayCluster:
     """The Ray cluster at RAY_ADDRESS or, without that, one of `cpus` CPUs on this machine until `close`.
 
@@ -49,6 +66,8 @@ class RayCluster:
             before = signal.getsignal(signal.SIGTERM)
             here: dict[str, Any] = {"address": "local", "num_cpus": cpus, "include_dashboard": False}
             try:
+                # Ray itself tries without end to reach a head that is not there.
+                _check_answers(os.environ.get("RAY_ADDRESS", ""))
                 ray.init(configure_logging=False, log_to_driver=False, **({} if is_elsewhere() else here))
             except (OSError, RuntimeError, ValueError) as error:
                 where = f"at RAY_ADDRESS={os.environ['RAY_ADDRESS']}" if is_elsewhere() else "on this machine"
@@ -65,10 +84,9 @@ class RayCluster:
 
     def check(self) -> None:
         """Raise TrainingError where the head does not answer, or no node with a CPU is left."""
-        host, _, port = self._head.rpartition(":")
         try:
             # Ray itself waits a minute for a head that is gone, and then ends this whole process.
-            socket.create_connection((host.strip("[]"), int(port)), timeout=_ANSWER_S).close()
+            _check_answers(self._head)
         except OSError as error:
             raise TrainingError(f"the head of the Ray cluster, {self._head}, is gone ({error})") from error
         if not self.cpus():

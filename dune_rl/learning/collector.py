@@ -171,7 +171,7 @@ class TransitionCollector:
 
     def state(self) -> dict[str, Any] | None:
         """Where the scenes are in their episodes, and who acts in them, as plain data; None where that is
-        not kept.
+        not kept, and once the collector is closed.
         """
         if self._env is None:
             return None
@@ -192,4 +192,5 @@ class TransitionCollector:
         threads = torch.get_num_threads()
         self._monitor.close()
         self._collector.shutdown()
+        self._env = None
         torch.set_num_threads(threads)

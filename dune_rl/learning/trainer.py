@@ -17,6 +17,7 @@ from torchrl.envs import EnvBase
 
 from dune_rl.core.errors import (
     CheckpointError,
+    ConfigError,
     DivergenceError,
     DuneError,
     DuneWarning,
@@ -249,7 +250,8 @@ class Trainer:
                     f"{error}\n{self._folder.describe_last_save()}, with a lower learning.learning_rate, or "
                     "with the reward or sensor mended that grows"
                 ) from error
-            except TrainingError as error:
+            except (ConfigError, TrainingError) as error:
+                # ConfigError: the collector of the next phase cannot be made, as on a cluster that has gone.
                 self._save(collector, with_experience=True)
                 self._log.write()
                 raise TrainingError(

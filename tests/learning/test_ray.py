@@ -1,8 +1,10 @@
-"""Training that collects on a Ray cluster: nodes that die amid it, and machines without Ray."""
+"""Training that collects on a Ray cluster: nodes that die, clusters out of reach, machines without Ray."""
 
 import math
 import signal
+import socket
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,9 +17,11 @@ from dune_rl.commands.train import train
 from dune_rl.config.compose import compose
 from dune_rl.config.schema import Conf
 from dune_rl.core.errors import ConfigError, TrainingError
+from dune_rl.core.ray_cluster import RayCluster, check_usable
 from dune_rl.learning.ray_workers import RayWorkers
 from dune_rl.learning.run.progress import Reporter, TrainingStatus
 from dune_rl.learning.settings import CollectorConf, EvaluationConf
+from dune_rl.train import main
 
 
 class Watcher(Reporter):
@@ -43,6 +47,17 @@ class Watcher(Reporter):
         if not self.lines:
             self._until = self._frames + 64
         self.lines.append(line)
+
+
+@pytest.fixture
+def unreachable(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """The RAY_ADDRESS of a port that refuses connections."""
+    pytest.importorskip("ray", reason="no Ray: pip install 'dune_rl[ray]'")
+    with socket.socket() as deaf:
+        deaf.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{deaf.getsockname()[1]}"
+        monkeypatch.setenv("RAY_ADDRESS", address)
+        yield address
 
 
 @pytest.mark.slow
@@ -90,3 +105,43 @@ def test_without_ray_the_command_says_what_to_install(
         train(conf)
     assert str(refused.value) == "learning.collector.mode=ray needs Ray: pip install 'dune_rl[ray]'"
     assert not (tmp_path / "run").exists()
+
+
+def test_a_cluster_that_cannot_be_reached_is_told_before_any_frame(
+    folder: Path, call: Callable[..., int], capsys: pytest.CaptureFixture[str], unreachable: str
+) -> None:
+    words = ["+world=flat", "learning.collector.mode=ray", "run_dir=runs/first"]
+    assert call(main, *words) == 2
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert shown.err == (
+        f"no Ray cluster can be used at RAY_ADDRESS={unreachable} ([Errno 111] Connection refused); "
+        "start one by `ray start`, or unset RAY_ADDRESS for one on this machine alone\n"
+    )
+    assert list(folder.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_looking_for_a_cluster_leaves_no_connection(monkeypatch: pytest.MonkeyPatch) -> None:
+    with ray_nodes(monkeypatch, 1):
+        import ray
+
+        handler = signal.getsignal(signal.SIGTERM)
+        check_usable("learning.collector.mode=ray")
+        assert not ray.is_initialized()
+        assert signal.getsignal(signal.SIGTERM) is handler
+        cluster = RayCluster("learning.collector.mode=ray", cpus=2)
+        assert cluster.cpus() == 1
+        cluster.close()
+
+
+def test_a_warm_up_is_saved_whose_cluster_has_gone(tmp_path: Path, unreachable: str) -> None:
+    learning = small(learning_starts=128, collector=CollectorConf(mode="ray", workers=1, scenes=8, steps=16))
+    with pytest.raises(
+        TrainingError, match=rf"{unreachable}.*\nAll is saved at 128 frames; go on with resume="
+    ):
+        trainer(tmp_path / "run", learning).train()
+    serial = small(learning_starts=128)
+    again = trainer(tmp_path / "run", serial, total_frames=256, resume=tmp_path / "run")
+    assert again.frames == 128
+    assert again.train().frames == 256
