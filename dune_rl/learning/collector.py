@@ -80,8 +80,12 @@ class TransitionCollector:
         stage: int = 0,
         population: Population | None = None,
         note: Callable[[str], None] = lambda line: None,
+        is_stopped: Callable[[], bool] = lambda: False,
     ) -> None:
-        """`threads` are the learners', which TorchRL's collectors set again; `note` gets lines to show."""
+        """`threads` are the learners', which TorchRL's collectors set again; `note` gets lines to show.
+
+        Once `is_stopped`, no more is waited for a batch that a cluster has no CPU for.
+        """
         self._population = population
         if population is not None:
             policies = population.join(policies)
@@ -120,7 +124,9 @@ class TransitionCollector:
             return partial(_worker_env, make_env, conf.scenes, environment_seed(seed, worker, frames))
 
         if conf.mode == "ray":
-            self._collector = RayWorkers(conf.workers, make_env_of, self._policy, conf.frames_per_batch, note)
+            self._collector = RayWorkers(
+                conf.workers, make_env_of, self._policy, conf.frames_per_batch, note, is_stopped
+            )
             self._monitor = WorkerMonitor(())
             return
         factories = [make_env_of(worker) for worker in range(conf.workers)]
@@ -133,7 +139,7 @@ class TransitionCollector:
         self._monitor = WorkerMonitor(self._collector.procs)
 
     def __iter__(self) -> Iterator[TensorDictBase]:
-        """The batches; raises `TrainingError` when a worker process has ended."""
+        """The batches, until `is_stopped` and none comes; raises `TrainingError` when a worker has ended."""
         batches = iter(self._collector)
         while True:
             batch = self._monitor.wait(partial(next, batches, None))

@@ -60,8 +60,9 @@ class RayWorkers:
     A worker goes on with its next batch while the learners have the last one, by the weights that were sent
     last. One that is lost, alone or with its node, costs the frames that it had under way: another one, with
     episodes of its own (`make_env_of` a number that no other worker has), begins where and when a CPU is
-    free, and `note` gets a line. Iterating raises `TrainingError` where nothing of the cluster is left, and
-    where workers are lost again and again before any of them gives a batch.
+    free, and `note` gets a line. Iterating ends where no batch is there once `is_stopped`. It raises
+    `TrainingError` where nothing of the cluster is left, and where workers are lost again and again before
+    any of them gives a batch.
     """
 
     def __init__(
@@ -71,13 +72,15 @@ class RayWorkers:
         policy: TensorDictModuleBase,
         frames_per_batch: int,
         note: Callable[[str], None],
+        is_stopped: Callable[[], bool] = lambda: False,
     ) -> None:
         self._cluster = RayCluster("learning.collector.mode=ray", workers)
         import ray
 
         self._ray = ray
         self._class = ray.remote(num_cpus=1)(_Worker)
-        self._workers, self._make_env_of, self._note = workers, make_env_of, note
+        self._workers, self._make_env_of = workers, make_env_of
+        self._note, self._is_stopped = note, is_stopped
         self._policy, self._frames_per_batch = ray.put(policy), frames_per_batch
         self._weights = ray.put(policy.state_dict())
         # The workers, by what each of them is to return.
@@ -99,6 +102,8 @@ class RayWorkers:
         while True:
             with self._connection():
                 batch = self._next_batch()
+            if batch is None:
+                return
             yield batch
 
     def shutdown(self) -> None:
@@ -122,7 +127,7 @@ class RayWorkers:
     def _begin_batch(self, worker: Any) -> None:
         self._pending[worker.collect.remote(self._weights)] = worker
 
-    def _next_batch(self) -> TensorDictBase:
+    def _next_batch(self) -> TensorDictBase | None:
         begun, is_told = time.monotonic(), False
         while True:
             now = time.monotonic()
@@ -139,6 +144,9 @@ class RayWorkers:
                 )
             ready, _ = self._ray.wait(list(self._pending), timeout=1.0)
             if not ready:
+                if self._is_stopped():
+                    # A batch may never come, as where others use all CPUs.
+                    return None
                 continue
             worker = self._pending.pop(ready[0])
             try:

@@ -231,7 +231,7 @@ class Trainer:
         closes = [self._close_collector, self._evaluation.close]
         closes += [learner.close for learner in self._learners.values()]
         with closing_all([*closes, partial(torch.set_num_threads, threads), self._log.close]):
-            collector = self._begin_phase()
+            collector = self._begin_phase(stop)
             try:
                 if self.frames < end and self._evaluation.is_due(self.frames):
                     # A signal ended the run before this evaluation, or amid it.
@@ -241,7 +241,7 @@ class Trainer:
                     if stop():
                         break
                     if self.frames < end:
-                        collector = self._begin_phase()
+                        collector = self._begin_phase(stop)
                 self._end(collector, stop)
             except DivergenceError as error:
                 # What was saved last is better than what there is now.
@@ -323,10 +323,10 @@ class Trainer:
             self._log.clear_recent()
             self._status.speed.restart()
 
-    def _begin_phase(self) -> TransitionCollector:
+    def _begin_phase(self, stop: StopRequest) -> TransitionCollector:
         """A collector for the present phase, in place of that of the phase before."""
         self._close_collector()
-        self._collector = self._make_collector()
+        self._collector = self._make_collector(stop)
         return self._collector
 
     def _close_collector(self) -> None:
@@ -334,7 +334,7 @@ class Trainer:
             self._collector.close()
             self._collector = None
 
-    def _make_collector(self) -> TransitionCollector:
+    def _make_collector(self, stop: StopRequest) -> TransitionCollector:
         """A collector for the present phase: warm-up policies in this process, then the learners'."""
         if self._saved is not None:
             set_random_state(self._saved["random"])
@@ -365,6 +365,7 @@ class Trainer:
             stage=self._warmup.stage,
             population=None if first else self._population,
             note=self._reporter.note,
+            is_stopped=stop,
         )
         collector.send(self._warmup.learners_policies())
         set_random_state(before)

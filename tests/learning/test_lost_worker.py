@@ -12,7 +12,8 @@ import pytest
 from training import small, trainer
 
 from dune_rl.core.errors import TrainingError
-from dune_rl.learning.process import WorkerMonitor
+from dune_rl.learning.collector import TransitionCollector
+from dune_rl.learning.process import StopRequest, WorkerMonitor
 from dune_rl.learning.settings import CollectorConf
 from dune_rl.learning.trainer import Trainer
 
@@ -21,8 +22,8 @@ def kill_a_worker_after(trained: Trainer, frames: int) -> None:
     """Kill a worker once the run has so many frames."""
     made = trained._make_collector
 
-    def make_collector():
-        collector = made()
+    def make_collector(stop: StopRequest) -> TransitionCollector:
+        collector = made(stop)
 
         def kill() -> None:
             while trained.frames < frames:
@@ -86,8 +87,8 @@ def test_workers_are_started_anew_after_their_episodes(tmp_path: Path) -> None:
     run = trainer(tmp_path / "run", small(learning_starts=0, collector=collector), total_frames=768)
     made, processes = run._make_collector, set()
 
-    def make_collector():
-        one = made()
+    def make_collector(stop: StopRequest) -> TransitionCollector:
+        one = made(stop)
         processes.update(process.pid for process in one._collector.procs)
         return one
 

@@ -11,13 +11,14 @@ from typing import Any
 
 import pytest
 from ray_nodes import kill_node, ray_nodes
-from training import small, trainer
+from training import SMALL_PPO, small, trainer
 
 from dune_rl.commands.train import train
 from dune_rl.config.compose import compose
 from dune_rl.config.schema import Conf
 from dune_rl.core.errors import ConfigError, TrainingError
 from dune_rl.core.ray_cluster import RayCluster, check_usable
+from dune_rl.learning import ray_workers
 from dune_rl.learning.ray_workers import RayWorkers
 from dune_rl.learning.run.progress import Reporter, TrainingStatus
 from dune_rl.learning.settings import CollectorConf, EvaluationConf
@@ -85,6 +86,36 @@ def test_a_node_that_dies_costs_a_line_and_the_last_one_ends_the_run_saved(
         with pytest.raises(TrainingError, match=r"Ray.*\nAll is saved at [\d,]+ frames; go on with resume="):
             again.train()
     assert trainer(tmp_path / "run", learning, **more).frames == again.frames > result.frames
+
+
+class StopsWaiting(Reporter):
+    """Sends SIGTERM once the run says that it gets no batch."""
+
+    def note(self, line: str) -> None:
+        if "no batch from Ray workers" in line:
+            signal.raise_signal(signal.SIGTERM)
+
+
+@pytest.mark.slow
+def test_a_signal_ends_the_wait_for_a_cluster_that_others_use(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ray_workers, "_PATIENCE_S", -1.0)
+    ray_conf = CollectorConf(mode="ray", workers=1, scenes=8, steps=16)
+    with ray_nodes(monkeypatch, 1):
+        import ray
+
+        # The training keeps the cluster that its program has connected to.
+        ray.init(configure_logging=False, log_to_driver=False)
+        try:
+            assert ray.util.placement_group([{"CPU": 1}]).wait(60)
+            learning = SMALL_PPO.model_copy(update={"collector": ray_conf})
+            stopped = trainer(tmp_path / "run", learning, reporter=StopsWaiting()).train()
+        finally:
+            ray.shutdown()
+    assert (stopped.signal, stopped.frames) == (signal.SIGTERM, 0)
+    again = trainer(tmp_path / "run", SMALL_PPO, total_frames=128, resume=tmp_path / "run")
+    assert again.train().frames == 128
 
 
 def test_workers_that_are_lost_again_and_again_end_the_run_in_a_line() -> None:
