@@ -100,8 +100,7 @@ class RayWorkers:
             for _ in range(self._workers - len(self._pending)):
                 self._start_worker()
         while True:
-            with self._connection():
-                batch = self._next_batch()
+            batch = self._next_batch()
             if batch is None:
                 return
             yield batch
@@ -116,8 +115,16 @@ class RayWorkers:
         try:
             yield
         except (OSError, self._ray.exceptions.RayError) as error:
-            # As where the node that this process is connected to has died.
-            raise TrainingError(f"the connection to the Ray cluster is lost ({error})") from error
+            raise TrainingError(self._describe(error)) from error
+
+    def _describe(self, error: Exception) -> str:
+        """Why Ray cannot go on: what the system or Ray says of this machine, or a connection that is lost."""
+        full = (self._ray.exceptions.OutOfDiskError, self._ray.exceptions.ObjectStoreFullError)
+        # Ray's own errors have no number; they come where the node of this process has died.
+        is_systems = isinstance(error, OSError) and error.errno is not None
+        if isinstance(error, full) or (is_systems and not isinstance(error, ConnectionError)):
+            return f"Ray cannot go on: {first_line(error)}"
+        return f"the connection to the Ray cluster is lost ({error})"
 
     def _start_worker(self) -> None:
         make_env = self._make_env_of(self._started)
@@ -128,39 +135,43 @@ class RayWorkers:
         self._pending[worker.collect.remote(self._weights)] = worker
 
     def _next_batch(self) -> TensorDictBase | None:
+        """The batch of a worker; None where there is none and the run `is_stopped`."""
         begun, is_told = time.monotonic(), False
         while True:
             now = time.monotonic()
-            if now > self._looked_at + _LOOK_S:
-                self._looked_at = now
-                self._cluster.check()
             if self._untold and now > self._lost_at + _GATHER_S:
                 self._tell_losses()
             if now > begun + _PATIENCE_S and not is_told:
                 is_told = True
-                self._note(
-                    f"note: no batch from Ray workers for {_PATIENCE_S:.0f} s; they wait for a CPU where "
-                    f"others use all {self._cluster.cpus()} of the cluster"
-                )
-            ready, _ = self._ray.wait(list(self._pending), timeout=1.0)
-            if not ready:
-                if self._is_stopped():
-                    # A batch may never come, as where others use all CPUs.
-                    return None
-                continue
-            worker = self._pending.pop(ready[0])
-            try:
-                batch: TensorDictBase = self._ray.get(ready[0])
-            except self._ray.exceptions.RayTaskError as error:
-                # The worker lives: what it ran has failed, and would again.
-                fault = error.cause if isinstance(error.cause, DuneError) else error
-                raise TrainingError(f"a Ray worker failed: {fault}") from error
-            except self._ray.exceptions.RayError as error:
-                self._replace(error)
-            else:
-                self._lost_in_a_row = 0
-                self._begin_batch(worker)
+                self._tell_waiting()
+            with self._connection():
+                batch = self._take_batch()
+            # One may never come, as where others use all CPUs.
+            if batch is not None or self._is_stopped():
                 return batch
+
+    def _take_batch(self) -> TensorDictBase | None:
+        """The batch of a worker, if there is one within a second."""
+        now = time.monotonic()
+        if now > self._looked_at + _LOOK_S:
+            self._looked_at = now
+            self._cluster.check()
+        ready, _ = self._ray.wait(list(self._pending), timeout=1.0)
+        if not ready:
+            return None
+        worker = self._pending.pop(ready[0])
+        try:
+            batch: TensorDictBase = self._ray.get(ready[0])
+        except self._ray.exceptions.RayTaskError as error:
+            # The worker lives: what it ran has failed, and would again.
+            fault = error.cause if isinstance(error.cause, DuneError) else error
+            raise TrainingError(f"a Ray worker failed: {fault}") from error
+        except self._ray.exceptions.RayError as error:
+            self._replace(error)
+            return None
+        self._lost_in_a_row = 0
+        self._begin_batch(worker)
+        return batch
 
     def _replace(self, error: Exception) -> None:
         if getattr(error, "actor_init_failed", False):
@@ -175,6 +186,15 @@ class RayWorkers:
             self._lost_at = time.monotonic()
         self._untold += 1
         self._start_worker()
+
+    def _tell_waiting(self) -> None:
+        with self._connection():
+            self._cluster.check()
+            cpus = self._cluster.cpus()
+        self._note(
+            f"note: no batch from Ray workers for {_PATIENCE_S:.0f} s; they wait for a CPU where "
+            f"others use all {cpus} of the cluster"
+        )
 
     def _tell_losses(self) -> None:
         # How many are left is not told: for seconds a cluster counts a node that has died.

@@ -1,5 +1,6 @@
 """Training that collects on a Ray cluster: nodes that die, clusters out of reach, machines without Ray."""
 
+import errno
 import math
 import signal
 import socket
@@ -125,6 +126,24 @@ def test_workers_that_are_lost_again_and_again_end_the_run_in_a_line() -> None:
     with pytest.raises(TrainingError) as ended:
         workers._replace(RuntimeError("The actor died.\n\tclass_name: _Worker\n\tactor_id: 7"))
     assert str(ended.value) == "Ray workers are lost before they give a batch: The actor died."
+
+
+def test_a_full_disk_is_no_lost_connection() -> None:
+    ray = pytest.importorskip("ray", reason="no Ray: pip install 'dune_rl[ray]'")
+    workers = RayWorkers.__new__(RayWorkers)
+    workers._ray = ray
+    no_space = OSError(errno.ENOSPC, "No space left on device", "/spill")
+    reset = ConnectionResetError(errno.ECONNRESET, "reset")
+    errors = {
+        no_space: "Ray cannot go on: [Errno 28] No space left on device: '/spill'",
+        ray.exceptions.OutOfDiskError("Local disk is full"): "Ray cannot go on: Local disk is full",
+        OSError("Broken pipe"): "the connection to the Ray cluster is lost (Broken pipe)",
+        reset: "the connection to the Ray cluster is lost ([Errno 104] reset)",
+    }
+    for error, told in errors.items():
+        with pytest.raises(TrainingError) as ended, workers._connection():
+            raise error
+        assert str(ended.value) == told
 
 
 def test_without_ray_the_command_says_what_to_install(
