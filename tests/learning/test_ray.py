@@ -6,6 +6,7 @@ import signal
 import socket
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -89,6 +90,22 @@ def test_a_node_that_dies_costs_a_line_and_the_last_one_ends_the_run_saved(
     assert trainer(tmp_path / "run", learning, **more).frames == again.frames > result.frames
 
 
+@contextmanager
+def failing_after(seconds: int) -> Iterator[None]:
+    """Fails the test where what is inside the context does not end."""
+
+    def fail(*_: Any) -> None:
+        pytest.fail(f"no end within {seconds} s")
+
+    before = signal.signal(signal.SIGALRM, fail)
+    signal.alarm(seconds)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+
+
 class StopsWaiting(Reporter):
     """Sends SIGTERM once the run says that it gets no batch."""
 
@@ -111,7 +128,8 @@ def test_a_signal_ends_the_wait_for_a_cluster_that_others_use(
         try:
             assert ray.util.placement_group([{"CPU": 1}]).wait(60)
             learning = SMALL_PPO.model_copy(update={"collector": ray_conf})
-            stopped = trainer(tmp_path / "run", learning, reporter=StopsWaiting()).train()
+            with failing_after(120):
+                stopped = trainer(tmp_path / "run", learning, reporter=StopsWaiting()).train()
         finally:
             ray.shutdown()
     assert (stopped.signal, stopped.frames) == (signal.SIGTERM, 0)
