@@ -5,15 +5,15 @@ import os
 import signal
 import threading
 import traceback
-from collections.abc import Callable, Sequence
-from queue import Empty
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
 
 from dune_rl.core.errors import DuneError, TrainingError
 from dune_rl.evaluation.blocks import EpisodeBlock, FinishedEpisode
 from dune_rl.evaluation.running import BlockRunner, EvaluationPlan
 
-_WAIT_S = 1.0
 _JOIN_S = 5.0
 
 
@@ -32,65 +32,84 @@ def run_in_processes(
     Raises RemoteError for an error that a user can mend, and TrainingError if a process is lost.
     """
     context = multiprocessing.get_context("spawn")
-    tasks, results = context.Queue(), context.Queue()
-    count = min(processes, len(blocks))
-    for block in [*blocks, *[None] * count]:
-        tasks.put(block)
-    workers = [context.Process(target=_work, args=(plan, tasks, results), daemon=True) for _ in range(count)]
+    workers: dict[Connection, BaseProcess] = {}
     try:
-        for worker in workers:
-            worker.start()
-        _collect(workers, results, emit)
+        for _ in range(min(processes, len(blocks))):
+            # One for each, and no lock that they share: one that is killed leaves the others alone.
+            ours, theirs = context.Pipe()
+            workers[ours] = context.Process(target=_work, args=(plan, theirs), daemon=True)
+            workers[ours].start()
+            # The worker alone holds its end, so that its death ends what is read here, amid a message too.
+            theirs.close()
+        _collect(workers, blocks, emit)
     finally:
-        for queue in (tasks, results):
-            queue.cancel_join_thread()
-        for worker in workers:
-            if worker.pid is not None:
-                worker.terminate()
-        for worker in workers:
-            if worker.pid is not None:
-                worker.join(_JOIN_S)
-                if worker.is_alive():
-                    worker.kill()
+        started = [worker for worker in workers.values() if worker.pid is not None]
+        for worker in started:
+            worker.terminate()
+        for worker in started:
+            worker.join(_JOIN_S)
+            if worker.is_alive():
+                worker.kill()
+        for connection in workers:
+            connection.close()
 
 
-def _collect(workers: Sequence[Any], results: Any, emit: Callable[[FinishedEpisode], None]) -> None:
-    open_workers = len(workers)
-    while open_workers:
-        try:
-            kind, content = results.get(timeout=_WAIT_S)
-        except Empty:
-            lost = [worker for worker in workers if worker.exitcode not in (None, 0)]
-            if lost:
-                raise TrainingError(
-                    f"a process of the evaluation ended with code {lost[0].exitcode}; take fewer "
-                    "processes or scenes if memory ran out, and go on with resume"
-                ) from None
-            continue
-        if kind == "episode":
-            emit(content)
-        elif kind == "end":
-            open_workers -= 1
-        elif kind == "mend":
-            raise RemoteError(content)
-        else:
-            raise RuntimeError(f"a process of the evaluation failed:\n{content}")
+def _collect(
+    workers: Mapping[Connection, BaseProcess],
+    blocks: Sequence[EpisodeBlock],
+    emit: Callable[[FinishedEpisode], None],
+) -> None:
+    """Give each worker the next of `blocks` when it asks, and `emit` the episodes of all."""
+    working, left = dict(workers), iter(blocks)
+    while working:
+        for connection in wait(list(working)):
+            assert isinstance(connection, Connection)
+            with _telling_loss(working[connection]):
+                kind, content = connection.recv()
+                if kind == "ask":
+                    connection.send(next(left, None))
+            if kind == "episode":
+                emit(content)
+            elif kind == "end":
+                del working[connection]
+            elif kind == "mend":
+                raise RemoteError(content)
+            elif kind == "fault":
+                raise RuntimeError(f"a process of the evaluation failed:\n{content}")
 
 
-def _work(plan: EvaluationPlan, tasks: Any, results: Any) -> None:
+@contextmanager
+def _telling_loss(worker: BaseProcess) -> Iterator[None]:
+    """Raises TrainingError where a connection ends, and with it the process at its other end."""
+    try:
+        yield
+    except (EOFError, OSError):
+        worker.join(_JOIN_S)
+        raise TrainingError(
+            f"a process of the evaluation ended with code {worker.exitcode}; take fewer processes or scenes "
+            "if memory ran out, and go on with resume"
+        ) from None
+
+
+def _work(plan: EvaluationPlan, connection: Connection) -> None:
     # Ctrl-C reaches all processes of a terminal; the parent ends the others.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         runner = BlockRunner(plan)
-        while (block := tasks.get()) is not None:
-            runner.run(block, lambda episode: results.put(("episode", episode)))
+        connection.send(("ask", ""))
+        while (block := connection.recv()) is not None:
+            runner.run(block, lambda episode: connection.send(("episode", episode)))
+            connection.send(("ask", ""))
         runner.close()
-        results.put(("end", ""))
+        last = "end", ""
     except DuneError as error:
-        results.put(("mend", str(error)))
+        last = "mend", str(error)
     except Exception:
-        results.put(("fault", traceback.format_exc()))
+        last = "fault", traceback.format_exc()
+    # Where the parent is gone, nobody is left to be told.
+    with suppress(OSError):
+        connection.send(last)
 
 
 def _end_with_parent() -> None:

@@ -3,12 +3,16 @@
 import csv
 import hashlib
 import json
+import os
 import shutil
+import signal
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pyarrow.parquet
 import pytest
@@ -16,7 +20,8 @@ import yaml
 from ray_nodes import kill_node, ray_nodes
 
 from dune_rl import evaluate
-from dune_rl.evaluation import run_plan
+from dune_rl.core.errors import TrainingError
+from dune_rl.evaluation import processes, run_plan
 from dune_rl.evaluation.blocks import EpisodeBlock, FinishedEpisode, missing_blocks
 from dune_rl.evaluation.episode_sets.files import read_episode_set, write_episode_set
 from dune_rl.evaluation.episode_sets.recipes import all_recipes
@@ -227,6 +232,62 @@ def test_no_process_outlives_an_evaluation_that_is_killed(folder: Path, short_se
     # Without an end of their own, they wait forever, and so does this test.
     while any(_is_alive(pid) for pid in workers):
         time.sleep(0.05)
+
+
+class _DyingRunner:
+    """In a process of an evaluation, tells its number by an episode and ends before the next one is sent."""
+
+    def __init__(self, plan: str) -> None:
+        self._plan = plan
+
+    def run(self, block: EpisodeBlock, emit: Callable[[FinishedEpisode], None]) -> None:
+        emit(FinishedEpisode(0, block.first, {}, [{"pid": os.getpid()}]))
+        if self._plan == "leave":
+            os._exit(0)
+        # The parent does not read meanwhile, so that no more of the message is written than a pipe holds.
+        threading.Timer(2.0, os.kill, (os.getpid(), signal.SIGKILL)).start()
+        emit(FinishedEpisode(0, block.first + 1, {}, [{"text": "x" * 8_000_000}]))
+        time.sleep(3600.0)
+
+
+# Under this name the processes find it, which import this module anew.
+_real_work = processes._work
+
+
+def _work_and_die(*arguments: Any) -> None:
+    processes.BlockRunner = _DyingRunner  # type: ignore[assignment,misc]
+    _real_work(*arguments)
+
+
+@pytest.fixture
+def alarm() -> Iterator[None]:
+    """Ends a test that waits forever."""
+
+    def fail(number: int, frame: object) -> None:
+        raise TimeoutError("it waits forever")
+
+    before = signal.signal(signal.SIGALRM, fail)
+    signal.alarm(300)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="reads Linux's list of processes")
+@pytest.mark.parametrize(("plan", "code"), [("be killed amid a message", -9), ("leave", 0)])
+def test_a_process_that_is_lost_ends_an_evaluation(
+    plan: Any, code: int, alarm: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(processes, "_work", _work_and_die)
+
+    def wait_for_its_end(episode: FinishedEpisode) -> None:
+        while _is_alive(episode.steps[0]["pid"]):
+            time.sleep(0.05)
+
+    blocks = [EpisodeBlock(0, first, 2) for first in (0, 2, 4)]
+    with pytest.raises(TrainingError, match=f"ended with code {code}; take fewer processes or scenes"):
+        processes.run_in_processes(plan, blocks, 2, wait_for_its_end)
 
 
 @pytest.mark.slow
