@@ -117,7 +117,7 @@ def _saved_settings(overrides: Sequence[str]) -> Mapping[str, Any] | None:
 def _evaluate(conf: EvaluateConf) -> None:
     # Only now, since loading PyTorch and the physics engine takes seconds.
     from dune_rl.evaluation.datasets.writing import plan_with_dataset
-    from dune_rl.evaluation.folder import ResultsFolder, check_free
+    from dune_rl.evaluation.folder import ResultsFolder, check_free_for_results
     from dune_rl.evaluation.provenance import describe_provenance
     from dune_rl.evaluation.run_plan import prepare_run, run_plan
     from dune_rl.evaluation.running import EvaluationPlan
@@ -126,7 +126,7 @@ def _evaluate(conf: EvaluateConf) -> None:
     plan = EvaluationPlan.of_settings(conf)
     out = Path(conf.out) if conf.out else default_folder(plan)
     check_writable(out)
-    check_free(out, overwrite=conf.overwrite)
+    check_free_for_results(out, overwrite=conf.overwrite)
     plan = plan_with_dataset(plan, out)
     if conf.bag is not None:
         if Path(conf.bag).resolve().is_relative_to(out.resolve()):

@@ -20,7 +20,13 @@ from dune_rl.core.errors import ConfigError, DuneError
 from dune_rl.core.files import sha256_of, write_atomically, write_csv
 from dune_rl.evaluation.actor_populations import CHECKPOINT, ActorPopulation
 from dune_rl.evaluation.cross_play_figure import cells_of, describe_cell, draw_matrices, row_title
-from dune_rl.evaluation.folder import SUMMARY, ResultsFolder, check_free, read_provenance, read_settings
+from dune_rl.evaluation.folder import (
+    SUMMARY,
+    ResultsFolder,
+    check_free_for_results,
+    read_provenance,
+    read_settings,
+)
 from dune_rl.evaluation.provenance import check_same_sources, describe_provenance
 from dune_rl.evaluation.run_plan import prepare_run, run_plan
 from dune_rl.evaluation.running import EvaluationPlan
@@ -62,7 +68,7 @@ def begin_cross_play(
             what = "a cross-play among others" if (out / RECORD).exists() else "other files"
             raise ConfigError(f"out={out} holds {what} ({others[0]}); remove it, or choose another folder")
     for one in populations:
-        check_free(out / one.name, overwrite=overwrite)
+        check_free_for_results(out / one.name, overwrite=overwrite)
     faults = []
     for one, plan in zip(populations, plans, strict=True):
         try:

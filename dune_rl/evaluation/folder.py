@@ -14,7 +14,7 @@ from dune_rl.config.checks import validate
 from dune_rl.config.commands import EvaluateConf
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.files import sha256_of, write_atomically, write_csv
-from dune_rl.core.folder_lock import FolderLock
+from dune_rl.core.folder_lock import LOCK_FILE, FolderLock
 from dune_rl.core.suggestions import typed_word
 from dune_rl.core.untrusted_files import parse_yaml
 from dune_rl.evaluation.blocks import FinishedEpisode
@@ -54,7 +54,7 @@ class ResultsFolder:
         cls, path: Path, conf: EvaluateConf, provenance: dict[str, Any], *, overwrite: bool
     ) -> "ResultsFolder":
         """A new folder; raises ConfigError if something is there that must not be overwritten."""
-        check_free(path, overwrite=overwrite)
+        check_free_for_results(path, overwrite=overwrite)
         path.mkdir(parents=True, exist_ok=True)
         folder = cls(path, provenance)
         folder.is_new = True
@@ -154,16 +154,15 @@ class ResultsFolder:
             temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
-def check_free(path: Path, *, overwrite: bool) -> None:
+def check_free_for_results(path: Path, *, overwrite: bool) -> None:
     """Raise ConfigError unless `path` is free for results, or has some that may be replaced (`overwrite`)."""
     if path.suffix in (".csv", ".parquet"):
         raise ConfigError(f"out={path}: results are a folder of several files; write out={path.stem}")
     if not path.is_dir():
         return
     names = sorted(each.name for each in path.iterdir())
-    others = [
-        name for name in names if name not in (*_FILES, TRANSITIONS, ".lock") and not _is_temporary(name)
-    ]
+    known = (*_FILES, TRANSITIONS, LOCK_FILE)
+    others = [name for name in names if name not in known and not _is_temporary(name)]
     if others:
         raise ConfigError(f"out={path} holds other files ({others[0]}); choose another folder")
     if overwrite or not any(name in _FILES for name in names):

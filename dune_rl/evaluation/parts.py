@@ -10,7 +10,13 @@ from dune_rl.config.commands import EvaluateConf
 from dune_rl.core.errors import ConfigError
 from dune_rl.core.suggestions import typed_word
 from dune_rl.evaluation.blocks import FinishedEpisode, missing_blocks
-from dune_rl.evaluation.folder import PROVENANCE, ResultsFolder, check_free, read_provenance, read_settings
+from dune_rl.evaluation.folder import (
+    PROVENANCE,
+    ResultsFolder,
+    check_free_for_results,
+    read_provenance,
+    read_settings,
+)
 from dune_rl.evaluation.protocols.report import finished_runs
 from dune_rl.evaluation.provenance import check_same_sources, describe_provenance
 from dune_rl.evaluation.run_plan import prepare_run, run_plan
@@ -33,7 +39,7 @@ def join_parts(path: Path, out: Path, console: Console, trusted: Collection[str]
     )
     if not folders:
         raise ConfigError(f"join={path} holds no parts; give the folder in which each part has its own")
-    check_free(out, overwrite=False)
+    check_free_for_results(out, overwrite=False)
     settings = [read_settings(folder) for folder in folders]
     whole = settings[0].model_copy(update=_OWN)
     plan = EvaluationPlan.of_settings(whole)
