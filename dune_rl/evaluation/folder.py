@@ -38,15 +38,18 @@ class ResultsFolder:
     """A folder that one evaluation writes to; other processes are kept out while it is open.
 
     `finished` has the episodes by (number of the policy, episode), and `is_new` says whether the folder was
-    made for this evaluation. Every finished episode is appended to a
-    file at once, from which the tables are written at the end, or when the evaluation is interrupted.
+    made for this evaluation. Every finished episode is appended to a file at once, from which the tables are
+    written at the end, or when the evaluation is interrupted. Raises ConfigError, with `if_taken` for what
+    helps, where another process has the folder.
     """
 
-    def __init__(self, path: Path, provenance: dict[str, Any]) -> None:
+    def __init__(
+        self, path: Path, provenance: dict[str, Any], if_taken: str = "choose another out=FOLDER"
+    ) -> None:
         self.path, self.provenance = path, provenance
         self.finished: dict[tuple[int, int], FinishedEpisode] = {}
         self.is_new = False
-        taken = ConfigError(f"another evaluation is writing to {path}; choose another out=FOLDER")
+        taken = ConfigError(f"another evaluation is writing to {path}; {if_taken}")
         self._lock = FolderLock(path, taken)
 
     @classmethod
@@ -71,7 +74,8 @@ class ResultsFolder:
     @classmethod
     def reopen(cls, path: Path) -> "ResultsFolder":
         """The folder of an evaluation that was cut off, with the episodes that it finished."""
-        folder = cls(path, read_provenance(path))
+        # Its episodes are wanted, and no other folder has them.
+        folder = cls(path, read_provenance(path), "wait until it has ended, or end it")
         try:
             lines = (path / PART).read_text(encoding="utf-8", errors="replace").splitlines()
         except FileNotFoundError:

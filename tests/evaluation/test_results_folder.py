@@ -20,7 +20,9 @@ import yaml
 from ray_nodes import kill_node, ray_nodes
 
 from dune_rl import evaluate
-from dune_rl.core.errors import TrainingError
+from dune_rl.config.commands import EvaluateConf
+from dune_rl.config.compose import compose
+from dune_rl.core.errors import ConfigError, TrainingError
 from dune_rl.evaluation import processes, run_plan
 from dune_rl.evaluation.blocks import EpisodeBlock, FinishedEpisode, missing_blocks
 from dune_rl.evaluation.episode_sets.files import read_episode_set, write_episode_set
@@ -31,6 +33,7 @@ from dune_rl.evaluation.running import BlockRunner
 Call = Callable[..., int]
 POLICY = Path(__file__).parents[2] / "experiments" / "flat" / "seed1" / "policy.pt"
 EPISODES = 5
+CONF = compose(EvaluateConf, ["+world=flat", "policy=go_to_goal", "episodes=2"])
 
 
 def write_short_set(folder: Path, sites: int = 1) -> str:
@@ -200,6 +203,15 @@ def test_what_ends_before_an_episode_leaves_nothing(
     monkeypatch.setattr(run_plan.BlockRunner, "run", interrupted)
     assert call(evaluate.main, "policy=random", short_set, "out=results") == 130
     assert not (folder / "results").exists()
+
+
+def test_a_folder_in_use_says_what_helps(tmp_path: Path) -> None:
+    provenance = {"set": None, "policies": [], "forecasts": None}
+    with ResultsFolder.create(tmp_path / "results", CONF, provenance, overwrite=False) as folder:
+        with pytest.raises(ConfigError, match=r"results; wait until it has ended, or end it$"):
+            ResultsFolder.reopen(folder.path)
+        with pytest.raises(ConfigError, match=r"results; choose another out=FOLDER$"):
+            ResultsFolder.create(folder.path, CONF, provenance, overwrite=True)
 
 
 def _is_alive(pid: int) -> bool:
