@@ -211,9 +211,12 @@ def _resume(path: Path, processes: Processes | None, trusted: Sequence[str]) -> 
     from dune_rl.evaluation.run_plan import prepare_run, run_plan
     from dune_rl.evaluation.running import EvaluationPlan
 
-    provenance, conf = read_provenance(path), read_settings(path)
+    provenance = read_provenance(path)
     if provenance.get("complete"):
-        raise ConfigError(f"{path} is complete; there is nothing to resume")
+        # As a job that is requeued after its end asks for.
+        print(f"{path} is a complete evaluation: there is nothing to do")
+        return
+    conf = read_settings(path)
     if processes is not None:
         # As they are checked when they are given at once.
         conf = validate(EvaluateConf, {**conf.model_dump(mode="json"), "processes": processes})

@@ -3,7 +3,7 @@
 import contextlib
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -12,7 +12,7 @@ import yaml
 
 from dune_rl.config.checks import validate
 from dune_rl.config.commands import EvaluateConf
-from dune_rl.core.errors import ConfigError
+from dune_rl.core.errors import ConfigError, DuneError
 from dune_rl.core.files import sha256_of, write_atomically, write_csv
 from dune_rl.core.folder_lock import LOCK_FILE, FolderLock
 from dune_rl.core.suggestions import typed_word
@@ -169,7 +169,7 @@ def check_free_for_results(path: Path, *, overwrite: bool) -> None:
     others = [name for name in names if name not in known and not _is_temporary(name)]
     if others:
         raise ConfigError(f"out={path} holds other files ({others[0]}); choose another folder")
-    if overwrite or not any(name in _FILES for name in names):
+    if overwrite or not any(name in _FILES for name in names) or _holds_settings_alone(path, names):
         return
     try:
         complete = bool(read_provenance(path).get("complete"))
@@ -180,6 +180,18 @@ def check_free_for_results(path: Path, *, overwrite: bool) -> None:
         f"out={path} holds results already; choose another folder, {going_on}or replace them with "
         "overwrite=true"
     )
+
+
+def _holds_settings_alone(path: Path, names: Collection[str]) -> bool:
+    """Whether an evaluation was cut off in `path`, which has files of these `names`, before it began."""
+    if any(name in (*_FILES, TRANSITIONS) for name in names if name != CONFIG):
+        return False
+    try:
+        # Others have a file of that name, too, such as trainings.
+        read_settings(path)
+    except DuneError:
+        return False
+    return True
 
 
 def _is_temporary(name: str) -> bool:

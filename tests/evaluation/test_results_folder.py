@@ -3,6 +3,7 @@
 import csv
 import hashlib
 import json
+import multiprocessing
 import os
 import shutil
 import signal
@@ -18,6 +19,7 @@ import pyarrow.parquet
 import pytest
 import yaml
 from ray_nodes import kill_node, ray_nodes
+from report_runs import episode_rows, write_evaluation
 
 from dune_rl import evaluate
 from dune_rl.config.commands import EvaluateConf
@@ -27,13 +29,14 @@ from dune_rl.evaluation import processes, run_plan
 from dune_rl.evaluation.blocks import EpisodeBlock, FinishedEpisode, missing_blocks
 from dune_rl.evaluation.episode_sets.files import read_episode_set, write_episode_set
 from dune_rl.evaluation.episode_sets.recipes import all_recipes
-from dune_rl.evaluation.folder import ResultsFolder
+from dune_rl.evaluation.folder import ResultsFolder, check_free_for_results, read_settings
 from dune_rl.evaluation.running import BlockRunner
 
 Call = Callable[..., int]
 POLICY = Path(__file__).parents[2] / "experiments" / "flat" / "seed1" / "policy.pt"
 EPISODES = 5
 CONF = compose(EvaluateConf, ["+world=flat", "policy=go_to_goal", "episodes=2"])
+PROVENANCE = {"set": None, "policies": [], "forecasts": None}
 
 
 def write_short_set(folder: Path, sites: int = 1) -> str:
@@ -138,8 +141,6 @@ def test_results_are_never_replaced_unasked(
     (folder / "mine" / "thesis.tex").write_text("x")
     assert call(evaluate.main, *words[:-1], "out=mine", "overwrite=true") == 2
     assert "out=mine holds other files (thesis.tex); choose another folder" in capsys.readouterr().err
-    assert call(evaluate.main, "resume=results") == 2
-    assert "results is complete; there is nothing to resume" in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -205,13 +206,52 @@ def test_what_ends_before_an_episode_leaves_nothing(
     assert not (folder / "results").exists()
 
 
+def test_a_complete_evaluation_has_nothing_to_resume(
+    call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def files() -> dict[str, tuple[int, bytes]]:
+        return {path.name: (path.stat().st_mtime_ns, path.read_bytes()) for path in results.iterdir()}
+
+    results = write_evaluation(folder / "results", episode_rows("a", 6))
+    before = files()
+    assert call(evaluate.main, "resume=results", "processes=2") == 0
+    assert capsys.readouterr().out == "results is a complete evaluation: there is nothing to do\n"
+    assert files() == before
+
+
+def test_an_evaluation_that_was_cut_off_before_it_began_is_begun_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def create(conf: EvaluateConf) -> None:
+        with ResultsFolder.create(tmp_path, conf, PROVENANCE, overwrite=False):
+            pass
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ResultsFolder, "write_provenance", lambda *_, **__: os._exit(9))
+        killed = multiprocessing.get_context("fork").Process(target=create, args=(CONF,))
+        killed.start()
+        killed.join()
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".lock", "config.yaml"]
+    create(CONF.model_copy(update={"episodes": 3}))
+    assert read_settings(tmp_path).episodes == 3
+    assert json.loads((tmp_path / "provenance.json").read_text())["finished"] == 0
+
+
+@pytest.mark.parametrize("file", ["episodes.part.jsonl", "episodes.csv", "transitions.part", "config.yaml"])
+def test_a_folder_without_provenance_that_holds_more_is_kept(file: str, tmp_path: Path) -> None:
+    (tmp_path / "config.yaml").write_text(yaml.safe_dump(CONF.model_dump(mode="json")))
+    # Settings of something else.
+    (tmp_path / file).write_text("total_frames: 100\n")
+    with pytest.raises(ConfigError, match="holds results already; choose another folder"):
+        check_free_for_results(tmp_path, overwrite=False)
+
+
 def test_a_folder_in_use_says_what_helps(tmp_path: Path) -> None:
-    provenance = {"set": None, "policies": [], "forecasts": None}
-    with ResultsFolder.create(tmp_path / "results", CONF, provenance, overwrite=False) as folder:
+    with ResultsFolder.create(tmp_path / "results", CONF, PROVENANCE, overwrite=False) as folder:
         with pytest.raises(ConfigError, match=r"results; wait until it has ended, or end it$"):
             ResultsFolder.reopen(folder.path)
         with pytest.raises(ConfigError, match=r"results; choose another out=FOLDER$"):
-            ResultsFolder.create(folder.path, CONF, provenance, overwrite=True)
+            ResultsFolder.create(folder.path, CONF, PROVENANCE, overwrite=True)
 
 
 def _is_alive(pid: int) -> bool:
