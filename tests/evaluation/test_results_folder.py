@@ -25,6 +25,7 @@ from dune_rl import evaluate
 from dune_rl.config.commands import EvaluateConf
 from dune_rl.config.compose import compose
 from dune_rl.core.errors import ConfigError, TrainingError
+from dune_rl.core.ray_cluster import RayCluster
 from dune_rl.evaluation import processes, run_plan
 from dune_rl.evaluation.blocks import EpisodeBlock, FinishedEpisode, missing_blocks
 from dune_rl.evaluation.episode_sets.files import read_episode_set, write_episode_set
@@ -37,6 +38,20 @@ POLICY = Path(__file__).parents[2] / "experiments" / "flat" / "seed1" / "policy.
 EPISODES = 5
 CONF = compose(EvaluateConf, ["+world=flat", "policy=go_to_goal", "episodes=2"])
 PROVENANCE = {"set": None, "policies": [], "forecasts": None}
+
+# Fails in the third of episodes of twelve steps.
+FAILING_DRIVER = """
+import numpy as np
+
+calls = 0
+
+def stand(observation):
+    global calls
+    calls += 1
+    if calls > 30:
+        raise RuntimeError("out of order")
+    return np.zeros((len(observation["goal"]), 2))
+"""
 
 
 def write_short_set(folder: Path, sites: int = 1) -> str:
@@ -386,11 +401,13 @@ def test_rows_do_not_depend_on_a_ray_cluster_whose_node_dies(
     words = [f"checkpoint={POLICY}", "against=random", short_set, "scenes=2", "steps=true"]
     assert call(evaluate.main, *words, "out=one") == 0
     add = ResultsFolder.add
+    # A block for each policy, of which the node that is lost has given some episodes, and not yet the others.
+    monkeypatch.setattr(RayCluster, "cpus", lambda self: 1)
     with ray_nodes(monkeypatch, 2) as nodes:
 
         def add_and_kill(self: ResultsFolder, episode: FinishedEpisode) -> None:
             add(self, episode)
-            if len(nodes) > 1:
+            if len(nodes) > 1 and len(self.finished) == 3:
                 kill_node(nodes.pop())
 
         monkeypatch.setattr(ResultsFolder, "add", add_and_kill)
@@ -398,6 +415,19 @@ def test_rows_do_not_depend_on_a_ray_cluster_whose_node_dies(
     assert len(nodes) == 1
     for name in ("episodes.csv", "steps.csv"):
         assert (folder / "one" / name).read_bytes() == (folder / "two" / name).read_bytes()
+
+
+@pytest.mark.slow
+def test_episodes_of_a_ray_task_that_fails_are_kept(
+    call: Call, folder: Path, short_set: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (folder / "failing_driver.py").write_text(FAILING_DRIVER)
+    monkeypatch.syspath_prepend(folder)
+    with ray_nodes(monkeypatch, 1):
+        words = ["policy=failing_driver:stand", short_set, "scenes=1", "processes=ray", "out=results"]
+        assert call(evaluate.main, *words) != 0
+    # All five are one block.
+    assert [row["episode"] for row in read_rows(folder / "results")] == ["0", "1"]
 
 
 @pytest.mark.slow
