@@ -1,7 +1,7 @@
 """Training runs that are ended at random moments, and resumed: does each end as an unbroken run does?
 
 `python experiments/reliability/kills.py FOLDER` adds to `FOLDER/kills.csv` the rows that it lacks, one for
-each run: 34 are killed at any moment and 10 near their end, 26 amid the save of a file (from a moment on, as
+each run: 34 are killed at any moment and 10 near their end, 31 amid the save of a file (from a moment on, as
 soon as the run's folder has the temporary file of that), 10 get SIGTERM, and 10 SIGINT twice. A moment is a
 share of the processor time of an unbroken run, so that it hardly depends on what else the machine does. The
 run that is ended is a fork of this process, which has loaded the libraries, and does what `python -m
@@ -72,6 +72,8 @@ ENDINGS = {
     "SIGKILL near the end": 10,
     f"{_AMID}{CURVE_FILE}": 5,
     f"{_AMID}{FILM_FILE}": 5,
+    # The start of the names of the replay buffer's files.
+    f"{_AMID}replay": 5,
 }
 # Shares of an unbroken run's processor time between which moments are drawn.
 _MOMENTS, _LATE_MOMENTS = (0.0, 0.95), (0.85, 1.0)

@@ -137,20 +137,27 @@ def strangers_table(folder: Path) -> str:
 
 
 def rounds_table(folder: Path) -> str:
-    """A Markdown table of the memory in each round of few scenes [MiB]: mean, and after the first turn."""
+    """A Markdown table of the memory in each round of few scenes [MiB], with a column for each segment.
+
+    It is that after the round's first turn, which all rounds have alike, and in brackets the mean of a
+    complete round. The last row has the growth of the first from round 2 on to the last.
+    """
     rows = [row for row in read_csv(folder / "soak.csv") if int(row["scenes"]) == _FEW_SCENES]
-    rounds = range(1 + max(int(row["round"]) for row in rows))
-    lines = [
-        f"| segment | commit | {' | '.join(f'round {number + 1}' for number in rounds)} |",
-        f"|---|---|{'---:|' * len(rounds)}",
-    ]
-    for number in dict.fromkeys(row["segment"] for row in rows):
-        own = [row for row in rows if row["segment"] == number]
-        cells = [f"{number}, {own[0]['engine']}", own[0]["commit"][:8]]
-        for each in rounds:
-            held = [float(row["held_mib"]) for row in own if int(row["round"]) == each]
-            cells.append(f"{sum(held) / len(held):.0f} ({held[0]:.0f})" if held else "")
-        lines.append(f"| {' | '.join(cells)} |")
+    held: dict[str, dict[int, list[float]]] = {}
+    for row in rows:
+        title = f"{row['segment']}, {row['engine']} ({row['commit'][:8]})"
+        held.setdefault(title, {}).setdefault(int(row["round"]), []).append(float(row["held_mib"]))
+    whole = max(len(turns) for segment in held.values() for turns in segment.values())
+    lines = [f"| round | {' | '.join(held)} |", f"|---|{'---:|' * len(held)}"]
+    for number in range(1 + max(int(row["round"]) for row in rows)):
+        cells = []
+        for segment in held.values():
+            turns = segment.get(number, [])
+            mean = f" ({sum(turns) / len(turns):.0f})" if len(turns) == whole else ""
+            cells.append(f"{turns[0]:.0f}{mean}" if turns else "")
+        lines.append(f"| {number + 1} | {' | '.join(cells)} |")
+    growth = [100 * (segment[max(segment)][0] / segment[1][0] - 1) for segment in held.values()]
+    lines.append(f"| from 2 to the last | {' | '.join(f'{each:+.1f} %' for each in growth)} |")
     return "\n".join(lines)
 
 
