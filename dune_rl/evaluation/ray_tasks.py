@@ -3,7 +3,7 @@
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from queue import SimpleQueue
 from typing import Any
 
@@ -42,19 +42,27 @@ def run_on_ray(
             task.remote(os.getcwd(), shared.hex(), shared, block) for block in find_blocks(cluster.cpus())
         ]
         while pending:
-            try:
+            with _telling_loss():
                 ready, pending = ray.wait(pending, timeout=_LOOK_S)
-            except OSError as error:
-                # As where the node that this process is connected to has died.
-                raise TrainingError(f"the connection to the Ray cluster is lost ({error})") from error
             if not ready:
                 cluster.check()
             for stream in ready:
-                if (episode := _next_episode(ray, stream)) is not None:
+                with _telling_loss():
+                    episode = _next_episode(ray, stream)
+                if episode is not None:
                     emit(episode)
                     pending.append(stream)
     finally:
         cluster.close()
+
+
+@contextmanager
+def _telling_loss() -> Iterator[None]:
+    """Raises TrainingError where the connection ends, as where the node that it leads to has died."""
+    try:
+        yield
+    except OSError as error:
+        raise TrainingError(f"the connection to the Ray cluster is lost ({error})") from error
 
 
 def _next_episode(ray: Any, stream: Any) -> FinishedEpisode | None:
