@@ -46,6 +46,7 @@ _FILE_ERRORS = {
     errno.EISDIR: "it is a folder",
     errno.EROFS: "the file system is read-only",
     errno.ENOSPC: "the disk is full",
+    errno.ENAMETOOLONG: "the name is too long",
 }
 
 

@@ -81,6 +81,9 @@ def check_free(file: Path, *, overwrite: bool) -> None:
     """Raise ConfigError where a file cannot be made, or is there already and may not be replaced."""
     if file.is_dir():
         raise ConfigError(f"{file} is a folder: name a file")
+    if file.exists() and not file.is_file():
+        # Such as /dev/null, which a new file would replace.
+        raise ConfigError(f"{file} is no ordinary file; choose another name")
     if file.exists() and not overwrite:
         raise ConfigError(f"{file} exists; choose another name, or overwrite=true")
     check_writable(file.parent if file.exists() or not file.is_symlink() else file)

@@ -143,6 +143,12 @@ def test_drives_that_differ_are_named_with_the_reason(
     assert told in found.text and found.is_fault == is_fault
 
 
+def test_changed_code_is_a_reason_to_differ() -> None:
+    here = HERE.model_copy(update={"git": {"commit": "c", "changed": True}, "digests": {"bullet flat": "x"}})
+    found = compare_drives(here, HERE, is_given=False)
+    assert "the code here has changes" in found.text and not found.is_fault
+
+
 def test_a_folder_that_cannot_be_written_is_a_fault(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (folder / "file").write_text("")
     for place in (folder / "file" / "cache", folder / ("x" * 300)):

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from dune_rl.core.files import write_atomically
+from dune_rl.core.errors import ConfigError
+from dune_rl.core.files import check_free, write_atomically
 
 
 @pytest.mark.skipif(os.name == "nt", reason="rights of Unix")
@@ -40,3 +41,8 @@ def test_a_fault_leaves_the_file_as_it_was(tmp_path: Path) -> None:
     with pytest.raises(NotADirectoryError) as caught, write_atomically(tmp_path / "file" / "b.csv"):
         pass
     assert caught.value.filename == str(tmp_path / "file" / "b.csv")
+
+
+def test_a_device_is_not_replaced_by_a_file() -> None:
+    with pytest.raises(ConfigError, match="/dev/null is no ordinary file; choose another name"):
+        check_free(Path(os.devnull), overwrite=True)

@@ -74,6 +74,8 @@ def compare_drives(here: Reference, there: Reference, is_given: bool) -> Finding
         reasons.append("its versions are others")
     if is_given and here.git != there.git:
         reasons.append("its code may be other")
+    elif here.git is not None and here.git.get("changed"):
+        reasons.append("the code here has changes that are not committed")
     text = f"{len(differ)} of {len(common)} drives differ from the reference ({', '.join(differ)})"
     why = " and ".join(reasons) or "though processor and versions are equal, which should not be: report it"
     return Finding("results", f"{text}: {why}{more}", is_fault=not reasons)
