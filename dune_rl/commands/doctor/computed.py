@@ -11,7 +11,7 @@ import numpy as np
 import dune_rl
 from dune_rl.physics.interface import OWN_ENGINES
 
-_WORLDS = ("flat", "inspection", "construction", "rubicon", "island")
+_WORLDS = ("flat", "inspection", "construction", "rubicon", "island", "obstacle_course")
 _SCENES, _STEPS = 4, 50
 _SPEED_SCENES, _LEAST_S = 16, 2.0
 
