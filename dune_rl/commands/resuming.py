@@ -19,7 +19,7 @@ from dune_rl.learning.checkpoint import (
     LAST_POLICY_FILE,
     find_checkpoint_file,
     interpreting,
-    read_progress,
+    read_checkpoint_file,
 )
 from dune_rl.learning.run.locks import remove_leftovers
 
@@ -64,7 +64,7 @@ def find_own_run(conf: Conf, folders: Sequence[str], lock: FolderLock) -> SavedR
     folder = Path(conf.run_dir)
     checkpoint, config = folder / CHECKPOINT_FILE, folder / CONFIG_FILE
     if checkpoint.is_file():
-        content = read_progress(checkpoint)
+        content = read_checkpoint_file(checkpoint, "checkpoint")
         before = compose(Conf, (), folders, content["config"])
         _require_equal(before, conf, folder)
         changes = {name: getattr(conf, name) for name in _MAY_DIFFER}
@@ -89,7 +89,7 @@ def find_named_run(source: str, overrides: Sequence[str], folders: Sequence[str]
             f"There is no folder {source}; resume={AUTO} goes on with the run that the same command began"
         )
     checkpoint = find_checkpoint_file(Path(source), CHECKPOINT_FILE)
-    content = read_progress(checkpoint)
+    content = read_checkpoint_file(checkpoint, "checkpoint")
     saved = dict(content["config"])
     if override_value(overrides, "run_dir") is None:
         saved["run_dir"] = str(checkpoint.parent)
