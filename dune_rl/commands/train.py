@@ -92,6 +92,14 @@ def _run_hydra(words: Sequence[str]) -> None:
         hydra.main(version_base="1.3", config_path=str(paths.conf_folder()), config_name="train")(_job)()
     except (HydraException, OmegaConfBaseException) as error:
         raise ConfigError(_explain(str(error).splitlines()[0], words)) from error
+    except command_line.Terminated:
+        # Jobs in processes of their own, as of joblib, end with this one.
+        if {"-m", "--multirun"} & {*words}:
+            command_line.print_error(
+                "The sweep was ended at once. What its jobs saved last stays; the same command with "
+                f"resume={AUTO} and hydra.sweep.dir=FOLDER goes on with them"
+            )
+        raise
     except Exception as error:
         reason = str(error).partition("\n")[0]
         if not (type(error).__module__.startswith("submitit.") or 'Could not detect "srun"' in reason):

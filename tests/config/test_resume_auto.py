@@ -15,6 +15,7 @@ from training import weights
 
 from dune_rl import train
 from dune_rl.commands import train as commands_train
+from dune_rl.commands.command_line import Terminated
 from dune_rl.commands.resuming import find_own_run
 from dune_rl.config.compose import compose
 from dune_rl.config.schema import Conf
@@ -226,6 +227,19 @@ def test_each_job_of_a_sweep_finds_its_own_run(
         shown = job.relative_to(folder)
         assert f"job {number} failed: {shown} holds a run of other settings: learning.tau=0.1" in error
     assert [files_of(job) for job in jobs] == before
+
+
+def test_a_sweep_that_is_ended_says_how_to_go_on(
+    call: Call, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def end(*_: object, **__: object) -> NoReturn:
+        raise Terminated
+
+    monkeypatch.setattr(commands_train.hydra, "main", end)
+    assert call(train.main, "-m", *SHORT, "hydra.sweep.dir=sweep", "seed=1,2") == 143
+    assert "The sweep was ended at once. What its jobs saved last stays" in capsys.readouterr().err
+    assert call(train.main, *SHORT, "run_dir=run") == 143
+    assert not capsys.readouterr().err
 
 
 @pytest.mark.slow
