@@ -140,7 +140,7 @@ def rounds_table(folder: Path) -> str:
     """A Markdown table of the memory in each round of few scenes [MiB], with a column for each segment.
 
     It is that after the round's first turn, which all rounds have alike, and in brackets the mean of a
-    complete round. The last row has the growth of the first from round 2 on to the last.
+    complete round. The last rows have the means of the second tenth of the turns and of the last fifth.
     """
     rows = [row for row in read_csv(folder / "soak.csv") if int(row["scenes"]) == _FEW_SCENES]
     held: dict[str, dict[int, list[float]]] = {}
@@ -156,8 +156,21 @@ def rounds_table(folder: Path) -> str:
             mean = f" ({sum(turns) / len(turns):.0f})" if len(turns) == whole else ""
             cells.append(f"{turns[0]:.0f}{mean}" if turns else "")
         lines.append(f"| {number + 1} | {' | '.join(cells)} |")
-    growth = [100 * (segment[max(segment)][0] / segment[1][0] - 1) for segment in held.values()]
-    lines.append(f"| from 2 to the last | {' | '.join(f'{each:+.1f} %' for each in growth)} |")
+    means: list[tuple[float, float] | None] = []
+    for segment in held.values():
+        turns = [each for number in segment.values() for each in number]
+        tenth = len(turns) // 10
+        # Of fewer rounds, the second tenth is of the first one, which loads everything.
+        is_long = tenth >= whole
+        late = sum(turns[-2 * tenth :]) / (2 * tenth)
+        means.append((sum(turns[tenth : 2 * tenth]) / tenth, late) if is_long else None)
+    for title, text in (
+        ("second tenth of the turns", "{0:.0f}"),
+        ("last fifth", "{1:.0f}"),
+        ("growth", "{2:+.1f} %"),
+    ):
+        cells = [text.format(*pair, 100 * (pair[1] / pair[0] - 1)) if pair else "" for pair in means]
+        lines.append(f"| {title} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
