@@ -233,11 +233,13 @@ def _describe_missing(error: ModuleNotFoundError) -> str | None:
     except ModuleNotFoundError as first:
         # That of which the requirements are read.
         error, needed = first, {"packaging": "packaging"}
-    package = needed.get((error.name or "").partition(".")[0])
+    name, _, part = (error.name or "").partition(".")
+    package = needed.get(name)
     if package is None:
         return None
+    what = f"is of a version without {error.name}" if part else "is not installed"
     return (
-        f"dune_rl needs {package}, which is not installed; pip install '{package}', "
+        f"dune_rl needs {package}, which {what}; pip install '{package}', "
         f"and {shell_command('dune_rl.doctor')} names all that is missing"
     )
 
@@ -331,7 +333,13 @@ def make_console() -> "Console":
     """A console for results: as wide as the terminal, and wide enough for a table elsewhere."""
     from rich.console import Console
 
-    return Console() if Console().is_terminal or "COLUMNS" in os.environ else Console(width=120)
+    class PipedConsole(Console):
+        def on_broken_pipe(self) -> None:
+            # Rich would end the process as if by a fault.
+            raise BrokenPipeError
+
+    is_wide = Console().is_terminal or "COLUMNS" in os.environ
+    return PipedConsole() if is_wide else PipedConsole(width=120)
 
 
 def _terminate(number: int, frame: FrameType | None) -> None:

@@ -9,7 +9,7 @@ import yaml
 
 from dune_rl.config.compose import compose, override_value
 from dune_rl.config.schema import Conf
-from dune_rl.core.errors import CheckpointError, ConfigError
+from dune_rl.core.errors import CheckpointError, ConfigError, DuneError
 from dune_rl.core.folder_lock import LOCK_FILE, FolderLock
 from dune_rl.core.suggestions import typed_word
 from dune_rl.core.untrusted_files import parse_yaml
@@ -72,8 +72,14 @@ def find_own_run(conf: Conf, folders: Sequence[str], lock: FolderLock) -> SavedR
     # Each save writes the latest policies, too: where they are, somebody has removed the checkpoint.
     if config.is_file() and not (folder / LAST_POLICY_FILE).exists():
         with interpreting(config):
-            before = parse_yaml(config.read_bytes())
-        _require_equal(compose(Conf, (), folders, before), conf, folder)
+            saved = parse_yaml(config.read_bytes())
+        try:
+            before = compose(Conf, (), folders, saved)
+        except DuneError as error:
+            raise CheckpointError(
+                f"{config} has no settings of a run: {error}\nChoose another run_dir, or move the file away."
+            ) from None
+        _require_equal(before, conf, folder)
         remove_leftovers(folder)
     return None
 
@@ -145,10 +151,12 @@ def _require_equal(before: Conf, conf: Conf, folder: Path) -> None:
     if not found:
         return
     more = f" and {len(found) - _DIFFERENCES_SHOWN} more" if len(found) > _DIFFERENCES_SHOWN else ""
+    go_on = ""
+    if (folder / CHECKPOINT_FILE).is_file():
+        go_on = f"; {typed_word('resume', folder)} goes on with changed ones"
     raise CheckpointError(
         f"{folder} holds a run of other settings: {', '.join(found[:_DIFFERENCES_SHOWN])}{more}\n"
-        "Give the settings that it began with, or another folder; "
-        f"{typed_word('resume', folder)} goes on with changed ones."
+        f"Give the settings that it began with, or another folder{go_on}."
     )
 
 

@@ -7,7 +7,7 @@ import shutil
 import signal
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,12 +34,18 @@ from dune_rl.config.schema import Conf
 from dune_rl.core import paths
 from dune_rl.core.errors import CheckpointError, ConfigError, DuneError
 from dune_rl.core.files import removing_empty
-from dune_rl.core.folder_lock import LOCK_FILE, FolderLock
+from dune_rl.core.folder_lock import FolderLock
 from dune_rl.core.machine import available_cores
 from dune_rl.core.ray_cluster import check_usable
 from dune_rl.core.suggestions import text_word
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE
-from dune_rl.learning.run.locks import check_unused, lock_run, remove_beginnings, reserve_cores
+from dune_rl.learning.run.locks import (
+    check_unused,
+    has_files_of_a_run,
+    lock_run,
+    remove_beginnings,
+    reserve_cores,
+)
 
 if TYPE_CHECKING:
     from dune_rl.learning.trainer import TrainingResult
@@ -62,6 +68,8 @@ def run(words: Sequence[str]) -> None:
         run = find_named_run(str(source), parsed.overrides, folders)
         run_dir = Path(run.conf.run_dir)
         with removing_empty(run_dir.parent), _locked(run_dir) as lock:
+            if run_dir.resolve() != run.checkpoint.parent.resolve():
+                check_unused(run_dir)
             train(run.conf, resume=run.checkpoint, lock=lock)
         return
     if parsed.multirun and override_value(parsed.overrides, "run_dir") is not None:
@@ -77,8 +85,10 @@ def run(words: Sequence[str]) -> None:
         from dune_rl.config.group_files import check_group_files
 
         check_group_files(conf)
-    # A job writes its words itself, when it has the lock of its folder: another run may be there.
-    ready = [*check_sweep(parsed.overrides, folders), _NO_WORDS]
+    ready = check_sweep(parsed.overrides, folders)
+    if not any(word.lstrip("+").startswith("hydra.output_subdir=") for word in ready):
+        # A job writes its words itself, when it has the lock of its folder: another run may be there.
+        ready.append(_NO_WORDS)
     flags = [word for word in sys.argv[1:] if word not in parsed.overrides]
     with nullcontext() if parsed.multirun else removing_empty(Path(conf.run_dir).parent):
         _run_hydra([*flags, *ready])
@@ -149,7 +159,8 @@ def _job(config: DictConfig) -> float | None:
                 return run.objective
             if run is None:
                 check_unused(Path(shown))
-                _save_words(config, Path(conf.run_dir) / _HYDRA_FOLDER)
+                if engine.output_subdir is None:
+                    _save_words(config, Path(conf.run_dir) / _HYDRA_FOLDER)
             with _cores_of_a_sweep(conf, engine):
                 if run is None:
                     result = train(conf, words=engine.overrides.task, lock=lock)
@@ -175,22 +186,22 @@ def _job(config: DictConfig) -> float | None:
 def _locked(run_dir: Path) -> Iterator[FolderLock]:
     """The lock of a run's folder until all of the run is written, its film, too.
 
-    The lock's file stays where a run was cut off. The folder goes where a run was refused, and it holds the
-    command's words and our lock alone.
+    The lock's file stays where a run was cut off. Where it was refused, and the folder has no files of a run,
+    the command's words go, and the folder if it is empty then.
     """
     lock = lock_run(run_dir)
     if lock.was_left:
         lock.keep_file()
     try:
         yield lock
-    except SystemExit:
-        # Stopped by a signal, and saved.
-        lock.finish()
-        raise
     except BaseException:
-        if {entry.name for entry in run_dir.glob("*")} <= {_HYDRA_FOLDER, LOCK_FILE}:
-            shutil.rmtree(run_dir)
-        lock.release()
+        if has_files_of_a_run(run_dir):
+            lock.release()
+        else:
+            shutil.rmtree(run_dir / _HYDRA_FOLDER, ignore_errors=True)
+            lock.finish()
+            with suppress(OSError):
+                run_dir.rmdir()
         raise
     lock.finish()
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
+from typing import cast
 
 from dune_rl.core.errors import DuneError, TrainingError
 from dune_rl.evaluation.blocks import EpisodeBlock, FinishedEpisode
@@ -63,7 +64,7 @@ def _collect(
     working, left = dict(workers), iter(blocks)
     while working:
         for connection in wait(list(working)):
-            assert isinstance(connection, Connection)
+            connection = cast(Connection, connection)
             with _telling_loss(working[connection]):
                 kind, content = connection.recv()
                 if kind == "ask":

@@ -7,6 +7,7 @@ from pathlib import Path
 from rich.console import Console
 
 from dune_rl.config.commands import Processes
+from dune_rl.core.errors import TrainingError
 from dune_rl.core.files import write_csv
 from dune_rl.core.suggestions import text_word
 from dune_rl.evaluation.blocks import EpisodeBlock, FinishedEpisode, missing_blocks
@@ -93,6 +94,10 @@ def run_plan(
             else:
                 runner.close()
                 run_in_processes(plan, blocks, processes, keep)
+            if find_blocks(1):
+                # As where a cluster's processors differ, and a lost block was repeated in another order.
+                missing = total - len(done())
+                raise TrainingError(f"{missing} {unit} did not come back from the processes that ran them")
     except BaseException:
         if not folder.finished and folder.is_new:
             folder.discard()

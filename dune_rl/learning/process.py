@@ -66,7 +66,7 @@ def closing_all(closes: Sequence[Callable[[], object]]) -> Iterator[None]:
 
     Nor does it hide an error of the body, which matters more.
     """
-    failed: list[Exception] = []
+    failed: list[BaseException] = []
     has_ended = False
     try:
         yield
@@ -75,10 +75,12 @@ def closing_all(closes: Sequence[Callable[[], object]]) -> Iterator[None]:
         for close in closes:
             try:
                 close()
-            except Exception as error:
+            except BaseException as error:
                 failed.append(error)
-        if has_ended and failed:
-            raise failed[0]
+        # An interruption is no fault of what closes.
+        stops = [error for error in failed if not isinstance(error, Exception)]
+        if stops or (has_ended and failed):
+            raise (stops or failed)[0]
 
 
 @contextmanager

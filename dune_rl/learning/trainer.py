@@ -252,7 +252,10 @@ class Trainer:
                 ) from error
             except (ConfigError, TrainingError) as error:
                 # ConfigError: the collector of the next phase cannot be made, as on a cluster that has gone.
-                self._save(collector, with_experience=True)
+                try:
+                    self._save(collector, with_experience=True)
+                except DuneError as second:
+                    raise type(second)(f"{error}\n{second}\n{self._folder.describe_last_save()}") from error
                 self._log.write()
                 raise TrainingError(
                     f"{error}\nAll is saved at {self.frames:,} frames; go on with "

@@ -5,7 +5,7 @@ import shutil
 import signal
 from collections.abc import Callable
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import pytest
 import torch
@@ -19,6 +19,7 @@ from dune_rl.commands.command_line import Terminated
 from dune_rl.commands.resuming import find_own_run
 from dune_rl.config.compose import compose
 from dune_rl.config.schema import Conf
+from dune_rl.core.errors import ConfigError
 from dune_rl.core.folder_lock import LOCK_FILE
 from dune_rl.learning.checkpoint import write_checkpoint_file
 from dune_rl.learning.run import log, progress
@@ -146,6 +147,69 @@ def test_a_second_command_leaves_the_folder_of_a_run_that_begins(
         assert capsys.readouterr().err.startswith("Another run is writing to run.\n")
         assert files_of(folder) == before
     lock.release()
+
+
+def test_a_refused_run_leaves_the_folder_as_it_was(
+    call: Call, folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> NoReturn:
+        raise ConfigError("found late")
+
+    monkeypatch.setattr(commands_train, "train", refuse)
+    (folder / "here").mkdir()
+    (folder / "link").symlink_to("here")
+    (folder / "full").mkdir()
+    (folder / "full" / "slurm.out").write_text("mine")
+    for name in ("new", "link", "full", "."):
+        before = files_of(folder)
+        assert call(train.main, *SHORT, f"run_dir={name}") == 2
+        assert capsys.readouterr().err == "found late\n"
+        assert files_of(folder) == before
+    assert not (folder / "new").exists() and not (folder / ".hydra").exists()
+
+
+def test_the_settings_of_something_else_are_not_replaced(
+    call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "run").mkdir()
+    (folder / "run" / "config.yaml").write_text("my: file")
+    for words, told in ((SHORT, "is no run's"), (AUTO, "has no settings of a run")):
+        assert call(train.main, *words, "run_dir=run") == 2
+        assert f"run/config.yaml {told}" in capsys.readouterr().err
+        assert files_of(folder) == {str(folder / "run" / "config.yaml"): b"my: file"}
+
+
+@pytest.mark.slow
+def test_a_run_that_goes_on_elsewhere_replaces_no_other_run(
+    call: Call, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("one", "other"):
+        assert call(train.main, *SHORT, f"run_dir={name}") == 0
+    before = files_of(folder)
+    assert call(train.main, "resume=one", "run_dir=other", "total_frames=128") == 2
+    assert "other already holds a run" in capsys.readouterr().err
+    assert files_of(folder) == before
+    assert call(train.main, "resume=one", "run_dir=new", "total_frames=128") == 0
+    assert {key: value for key, value in files_of(folder).items() if key in before} == before
+
+
+@pytest.mark.slow
+def test_a_run_that_was_stopped_after_its_last_save_films_when_it_goes_on(
+    call: Call, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    draw = log.draw_curve
+
+    def draw_and_stop(*given: Any) -> None:
+        draw(*given)
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    with monkeypatch.context() as changed:
+        changed.setattr(log, "draw_curve", draw_and_stop)
+        assert call(train.main, *AUTO, "run_dir=run", "film=true") == 143
+    filmed: list[Path] = []
+    monkeypatch.setattr(commands_train, "film_run", lambda *given: filmed.append(given[2].run_dir))
+    assert call(train.main, *AUTO, "run_dir=run", "film=true") == 0
+    assert len(filmed) == 1 and not (folder / "run" / LOCK_FILE).exists()
 
 
 @pytest.mark.slow

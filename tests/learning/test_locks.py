@@ -101,6 +101,15 @@ def test_a_file_system_without_locks_is_told(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(folder_lock, "try_lock", lambda handle: None)
     with pytest.warns(DuneWarning, match="without locks of files"):
         assert not lock_run(tmp_path).is_held
+        # The mark of a run that is cut off needs no lock.
+        lock = lock_run(tmp_path)
+        assert not lock.was_left
+        lock.keep_file()
+        lock.release()
+        again = lock_run(tmp_path)
+        assert again.was_left
+        again.keep_file()
+        again.finish()
     assert not list(tmp_path.iterdir())
 
 

@@ -6,10 +6,13 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from dune_rl.core.errors import CheckpointError
+import yaml
+
+from dune_rl.core.errors import CheckpointError, DuneError
 from dune_rl.core.files import try_lock
 from dune_rl.core.folder_lock import FolderLock
 from dune_rl.core.suggestions import typed_word
+from dune_rl.core.untrusted_files import parse_yaml
 from dune_rl.learning.checkpoint import CHECKPOINT_FILE, CONFIG_FILE
 
 # Files of a run, which may have no checkpoint: it was cut off early, or published without it.
@@ -46,6 +49,9 @@ def check_unused(folder: Path) -> None:
             f"{folder} already holds a run; continue it with {typed_word('resume', folder)}, or choose "
             "another run_dir"
         )
+    config = folder / CONFIG_FILE
+    if config.exists() and not _is_of_a_run(config):
+        raise CheckpointError(f"{config} is no run's, and a run would replace it: choose another run_dir")
     left = next(iter(_files_of_a_run(folder)), None)
     if left is not None:
         raise CheckpointError(
@@ -70,6 +76,21 @@ def remove_beginnings(folder: Path) -> None:
         return
     for file in begun:
         file.unlink(missing_ok=True)
+
+
+def has_files_of_a_run(folder: Path) -> bool:
+    """Whether a run has begun to write to `folder`."""
+    return any((folder / name).exists() for name in (CHECKPOINT_FILE, CONFIG_FILE)) or bool(
+        _files_of_a_run(folder)
+    )
+
+
+def _is_of_a_run(config: Path) -> bool:
+    try:
+        found = parse_yaml(config.read_bytes())
+    except (DuneError, OSError, ValueError, yaml.YAMLError):
+        return False
+    return isinstance(found, dict) and "learning" in found
 
 
 def _files_of_a_run(folder: Path) -> list[Path]:
