@@ -131,8 +131,7 @@ def run_command(page: HelpPage, body: Callable[[Sequence[str]], None]) -> NoRetu
     except ReportedError:
         sys.exit(2)
     except (DuneError, OSError) as error:
-        if isinstance(error, BrokenPipeError) and _drop_unread_output():
-            sys.exit(_UNREAD)
+        exit_if_unread(error)
         message = describe_user_error(error)
         if message is None:
             raise
@@ -157,6 +156,12 @@ def run_command(page: HelpPage, body: Callable[[Sequence[str]], None]) -> NoRetu
             print_error("Interrupted")
         sys.exit(128 + lost[0])
     sys.exit(0)
+
+
+def exit_if_unread(error: Exception) -> None:
+    """End the process quietly where `error` says that nobody reads its output any more."""
+    if isinstance(error, BrokenPipeError) and _drop_unread_output():
+        sys.exit(_UNREAD)
 
 
 def _drop_unread_output() -> bool:

@@ -171,6 +171,8 @@ def _job(config: DictConfig) -> float | None:
         rows = result.evaluation[conf.driven_group.name]
         return mean_of_known(row[conf.objective] for row in rows)
     except (DuneError, OSError) as error:
+        # Hydra would say of any other exception that the job failed.
+        command_line.exit_if_unread(error)
         message = command_line.describe_user_error(error)
         if message is None:
             raise
@@ -313,6 +315,8 @@ def train(
     if conf.film:
         try:
             film_run(console, evaluated, result)
+        except BrokenPipeError:
+            raise
         except (DuneError, OSError) as error:
             # All else of the run is there, a sweep's objective too.
             command_line.print_error(f"note: {FILM_FILE} is left out: {error}")

@@ -3,6 +3,8 @@
 import os
 import shutil
 import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
@@ -210,6 +212,20 @@ def test_a_run_that_was_stopped_after_its_last_save_films_when_it_goes_on(
     monkeypatch.setattr(commands_train, "film_run", lambda *given: filmed.append(given[2].run_dir))
     assert call(train.main, *AUTO, "run_dir=run", "film=true") == 0
     assert len(filmed) == 1 and not (folder / "run" / LOCK_FILE).exists()
+
+
+@pytest.mark.slow
+def test_a_run_whose_output_nobody_reads_goes_on_later(call: Call, folder: Path) -> None:
+    command = [sys.executable, "-m", "dune_rl.train", *AUTO, "run_dir=run"]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(command, cwd=folder, **pipes) as process:
+        assert process.stdout is not None and process.stderr is not None
+        assert process.stdout.readline() == "Run folder: run\n"
+        process.stdout.close()
+        assert (process.stderr.read(), process.wait()) == ("", 141)
+    assert (folder / "run" / LOCK_FILE).exists()
+    assert call(train.main, *AUTO, "run_dir=run") == 0
+    assert not (folder / "run" / LOCK_FILE).exists()
 
 
 @pytest.mark.slow
