@@ -226,7 +226,9 @@ def describe_user_error(error: DuneError | OSError) -> str | None:
     if isinstance(error, DuneError):
         return "\n".join(_cut_line(line) for line in str(error).split("\n"))
     reason = _FILE_ERRORS.get(error.errno or 0)
-    return f"cannot write {error.filename or 'a file'}: {reason}; choose another place" if reason else None
+    # TensorBoard opens its files by names in bytes.
+    name = os.fsdecode(error.filename) if isinstance(error.filename, str | bytes) else error.filename
+    return f"cannot write {name or 'a file'}: {reason}; choose another place" if reason else None
 
 
 def _describe_missing(error: ModuleNotFoundError) -> str | None:

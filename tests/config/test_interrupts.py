@@ -37,7 +37,7 @@ def in_a_library_that_turns_it_into_an_error(parsed):
 
 def with_a_thread_on_a_full_disk(parsed):
     def write():
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "events")
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), b"events")
 
     thread = threading.Thread(target=write)
     thread.start()
