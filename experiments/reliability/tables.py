@@ -77,13 +77,15 @@ def soak_table(folder: Path) -> str:
 
 
 def kills_table(folder: Path) -> str:
-    """A Markdown table with a row for each way in which runs were ended."""
+    """A Markdown table with a row for each way in which runs were ended.
+
+    A run ends "as the unbroken one" with code 0, its weights, metrics, curve and policies bit for bit, and
+    neither a file too many nor one too few.
+    """
     lines = [
-        "| ended by | exit code | runs | before the first save | with a temporary file "
-        "| longest time from signal to exit | went on from the save | had come to its end "
-        "| ended with code 0 | equal weights | equal `metrics.csv` and `curve.png` "
-        "| equal policy files | runs with files left over | that lack a file |",
-        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
+        "| ended by | exit code | runs | before the first save | amid a file "
+        "| longest time to the exit | went on from the save | had come to its end | as the unbroken one |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|---:|",
     ]
     rows = read_csv(folder / "kills.csv")
     for ending in dict.fromkeys(row["ending"] for row in rows):
@@ -95,14 +97,15 @@ def kills_table(folder: Path) -> str:
             f"{max(float(row['took_s']) for row in own):.1f} s",
             sum(0 < int(row["saved_frames"]) == int(row["resumed_at"]) < _TOTAL_FRAMES for row in own),
             sum(int(row["saved_frames"]) == _TOTAL_FRAMES for row in own),
-            sum(row["resumed"] == "0" for row in own),
+            sum(_is_as_unbroken(row) for row in own),
         ]
-        cells += [
-            sum(int(row[name]) for row in own) for name in ("weights_equal", "metrics_equal", "files_equal")
-        ]
-        cells += [sum(bool(row[name]) for row in own) for name in ("left", "missing")]
         lines.append(f"| {ending} | {' | '.join(map(str, cells))} |")
     return "\n".join(lines)
+
+
+def _is_as_unbroken(row: dict[str, str]) -> bool:
+    is_equal = all(row[name] == "1" for name in ("weights_equal", "metrics_equal", "files_equal"))
+    return row["resumed"] == "0" and is_equal and not row["left"] and not row["missing"]
 
 
 def faults_table(folder: Path) -> str:
